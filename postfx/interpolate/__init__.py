@@ -24,10 +24,11 @@ import numpy as np
 
 from postfx.cuts import CutDetector
 from postfx.errors import FrameError
-from postfx.frame import DEPTH_MISS, Frame, Role
-from postfx.interpolate.blend import choose_paths, compose, fill_holes, find_overlay, merge_sides, misfits
-from postfx.interpolate.flow import consistent_motion, estimate_motion
-from postfx.interpolate.paths import Paths, paths_of, splat_paths
+from postfx.frame import Frame, Role
+from postfx.interpolate.blend import compose, find_overlay, is_finite, is_same_plane, join_cells
+from postfx.interpolate.choose import MARGIN, choose_paths, fill_holes, measure_detail, merge_sides, misfits, tone_rows
+from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, halve
+from postfx.interpolate.paths import Paths, gather_cells, paths_of, rank_paths, splat_paths
 from postfx.sampling import local_sum
 from postfx.system import usable_cores
 from postfx.temporal.reverse_motion import invert_motion
@@ -39,6 +40,10 @@ DATA = (Role.DEPTH, Role.NORMAL, Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 COVERED = 0.98
 """Coverage from which an overlay hides the picture."""
+LEAST_OF_CELLS = 64
+"""Pixels along a picture's shorter side from which paths are found for cells of 2x2 pixels."""
+LEAST_SEARCHED = 240
+"""Pixels along the shorter side of the picture in which motion is estimated, at least where there are as many."""
 LONGEST = 64
 """Pixels by which an overlay that was found in the picture is grown, at most."""
 Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
@@ -111,8 +116,13 @@ class Between:
         """Motion (h, w, 2) of the frame after to a time between, `previous`: what its plane is once a frame is there.
         """
         _, last = self._paths
-        motion: np.ndarray = last.ends[..., :2] * np.float32(1 - previous)
-        motion += last.bend * np.float32(previous * (previous - 1))
+        whole = last.ends[..., :2] - np.array(self.after.jitter, np.float32) / np.float32(self._scale)
+        bend = last.bend
+        if self._scale > 1:
+            whole, bend = (enlarge_motion(np.ascontiguousarray(one), *self._size) for one in (whole, bend))
+        if Role.MOTION in self.after:
+            whole = self.after[Role.MOTION]
+        motion: np.ndarray = whole * np.float32(1 - previous) + bend * np.float32(previous * (previous - 1))
         return motion
 
     def _both_have(self, role: Role) -> bool:
@@ -125,7 +135,8 @@ class Between:
         if is_cut or self.after.reset:
             return CUT
         planes = [role for role in (Role.COLOUR, Role.ALPHA, Role.OVERLAY) if self._both_have(role)]
-        same = all(np.array_equal(self.before[role], self.after[role], equal_nan=True) for role in planes)
+        same = all(is_same_plane(np.ascontiguousarray(self.before[role]).ravel(),
+                                 np.ascontiguousarray(self.after[role]).ravel()) for role in planes)
         return STILL if same else None
 
     def _camera_at(self, t: float) -> np.ndarray | None:
@@ -152,33 +163,71 @@ class Between:
     # What is found once for all times
 
     @cached_property
+    def _size(self) -> tuple[int, int]:
+        """Height and width of the pictures."""
+        h, w = self.before[Role.COLOUR].shape[:2]
+        return h, w
+
+    @cached_property
+    def _scale(self) -> int:
+        """Pixels along a side of the cells that paths are found for."""
+        return 2 if min(self._size) >= LEAST_OF_CELLS else 1
+
+    @cached_property
+    def _grid(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        return -(-self._size[0] // self._scale), -(-self._size[1] // self._scale)
+
+    @cached_property
     def _overlays(self) -> tuple[np.ndarray, np.ndarray]:
         """Overlays (h, w, 4) that are in the colours."""
         return _finite(self.before[Role.OVERLAY]), _finite(self.after[Role.OVERLAY])
 
     @cached_property
+    def _colours(self) -> tuple[np.ndarray, np.ndarray]:
+        """Colours as they are in the frames."""
+        first, last = _at_once([lambda: _finite(self.before[Role.COLOUR]), lambda: _finite(self.after[Role.COLOUR])])
+        return first, last
+
+    @cached_property
     def _pictures(self) -> tuple[np.ndarray, np.ndarray]:
         """Colours without overlays."""
-        role = Role.OPAQUE_COLOUR if self._both_have(Role.OPAQUE_COLOUR) else Role.COLOUR
-        colours = _finite(self.before[role]), _finite(self.after[role])
+        if self._both_have(Role.OPAQUE_COLOUR):
+            return _finite(self.before[Role.OPAQUE_COLOUR]), _finite(self.after[Role.OPAQUE_COLOUR])
         if not self._composited:
-            return colours
-        first, last = (_take_out(colour, overlay) for colour, overlay in zip(colours, self._overlays, strict=True))
+            return self._colours
+        first, last = (_take_out(*both) for both in zip(self._colours, self._overlays, strict=True))
         return first, last
 
     @cached_property
     def _toned(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pictures of the range 0 to 1, in which differences are about as visible in the dark as in the light."""
-        light = [np.maximum(picture @ LUMINANCE, 0) for picture in self._pictures]
+        """Grey pictures with margins (h + 2 MARGIN, w + 2 MARGIN), by which paths are compared."""
+        h, w = self._size
+        some = 4 if min(self._size) >= 256 else 1  # of the pixels along a side tell how bright a picture is
+        light = [np.maximum(picture[::some, ::some] @ LUMINANCE, 0) for picture in self._pictures]
         mean = float(np.mean(light)) + 1e-12
         level = np.float32(4 * math.exp(float(np.mean(np.log(np.stack(light) + np.float32(1e-3 * mean))))))
-        first, last = (np.sqrt((bright := np.maximum(picture, 0)) / (bright + level)) for picture in self._pictures)
-        return first, last
+        found = []
+        for picture in self._pictures:
+            toned = np.empty((h + 2 * MARGIN, w + 2 * MARGIN), np.float32)
+            _in_bands(h, tone_rows, picture, level, toned)
+            toned[:MARGIN], toned[h + MARGIN:] = toned[MARGIN], toned[h + MARGIN - 1]
+            found.append(toned)
+        return found[0], found[1]
 
     @cached_property
     def _matched(self) -> tuple[np.ndarray, np.ndarray]:
-        """Grey of the toned pictures (h, w, 1), by which paths are compared."""
-        first, last = (toned.mean(-1, keepdims=True) for toned in self._toned)
+        """The same in one line, as kernels read them."""
+        first, last = self._toned
+        return first.ravel(), last.ravel()
+
+    @cached_property
+    def _small(self) -> tuple[np.ndarray, np.ndarray]:
+        """The grey pictures at one pixel a cell."""
+        rows, columns = self._grid
+        inner = [toned[MARGIN:MARGIN + self._scale * rows, MARGIN:MARGIN + self._scale * columns]
+                 for toned in self._toned]
+        first, last = (halve(one) if self._scale == 2 else np.ascontiguousarray(one) for one in inner)
         return first, last
 
     @cached_property
@@ -187,100 +236,136 @@ class Between:
         if self._composited:
             first, last = (overlay[..., 3] < COVERED for overlay in self._overlays)
             return first, last
-        known = np.ones(self.before[Role.COLOUR].shape[:2], np.bool_)
+        known = np.ones(self._size, np.bool_)
         if self._both_have(Role.MOTION) and not self._both_have(Role.OPAQUE_COLOUR):
-            motion = _finite(self.after[Role.MOTION])
-            size = np.abs(motion).sum(-1)
+            motion = self.after[Role.MOTION]
+            size = np.abs(_finite(motion[::4, ::4])).sum(-1)
             find_overlay(*self._pictures, motion, min(LONGEST, math.ceil(float(np.quantile(size, 0.99)))), known)
         return known, known
 
     @cached_property
+    def _masked(self) -> bool:
+        """Whether anything is hidden by overlays."""
+        first, last = self._known
+        return not (first.all() and last.all())
+
+    @cached_property
     def _estimated(self) -> tuple[np.ndarray, np.ndarray]:
-        """Motion (h, w, 2) of both frames to the other one, estimated from the pictures."""
-        first, last = (toned.mean(-1) for toned in self._toned)
-        ahead, back = _at_once([lambda: estimate_motion(first, last), lambda: estimate_motion(last, first)])
+        """Motion of both frames to the other one, estimated from the pictures, in pixels of a picture that is halved
+        as often as it keeps enough of them."""
+        pictures = self._small
+        while min(pictures[0].shape) >= 2 * LEAST_SEARCHED:
+            pictures = halve(pictures[0]), halve(pictures[1])
+        ahead, back = _at_once([lambda: estimate_motion(*pictures, 2 - self._scale),
+                                lambda: estimate_motion(*pictures[::-1], 2 - self._scale)])
         return ahead, back
+
+    @cached_property
+    def _flows(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same for cells (rows, columns, 2) in pixels, NaN where the way there and back does not end where it
+        began; empty if not asked for."""
+        if not self._flow or Role.MOTION not in self.after:
+            return np.empty((0, 0, 2), np.float32), np.empty((0, 0, 2), np.float32)
+        found = consistent_motion(*self._estimated, self._scale)
+        ahead, back = _at_once([lambda: self._enlarge(found[0]), lambda: self._enlarge(found[1])])
+        return ahead, back
+
+    def _enlarge(self, motion: np.ndarray) -> np.ndarray:
+        """Motion of a smaller picture for cells: in pixels of the picture if they were that of cells."""
+        return enlarge_motion(motion, *self._grid)
+
+    def _cells_of(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+        """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of a frame that has either."""
+        motion, depth = (frame[role] if role in frame else np.empty((0, 0, count), np.float32)
+                         for role, count in ((Role.MOTION, 2), (Role.DEPTH, 1)))
+        found = np.empty((*self._grid, 2), np.float32), np.empty((*self._grid, 1), np.float32)
+        gather_cells(motion, depth, self._scale, np.float32(4 * max(self._size)), *found)
+        return found
 
     @cached_property
     def _paths(self) -> tuple[Paths, Paths]:
         has_depth = self._both_have(Role.DEPTH)
-        motion = self.after[Role.MOTION] if Role.MOTION in self.after else self._estimated[1]
-        motion = _without_jumps(motion)
-        depths = [_depth(frame) for frame in (self.before, self.after)] if has_depth else self._rank(motion)
-        ahead = invert_motion(motion, depths[1], depths[0])
-        came = goes = None
-        if Role.MOTION in self.after and Role.MOTION in self.before and not self.before.reset:
-            came = _without_jumps(self.before[Role.MOTION])
-        later = self._later
+        (came, near), (motion, far) = _at_once([lambda: self._cells_of(self.before),
+                                                lambda: self._cells_of(self.after)])
+        if Role.MOTION not in self.after:
+            motion = self._enlarge(self._estimated[1])
+        if not has_depth:
+            near, far = self._rank(motion)
+        ahead = invert_motion(motion, far, near)
+        known_from_before = Role.MOTION in self.after and Role.MOTION in self.before and not self.before.reset
+        goes, later = None, self._later
         if has_depth and later is not None and not later.reset and Role.MOTION in later and Role.DEPTH in later:
-            if later[Role.MOTION].shape == motion.shape:
-                goes = invert_motion(_without_jumps(later[Role.MOTION]), _depth(later), depths[1])
-        first, last = paths_of(motion, ahead, depths[0], depths[1], came, goes)
+            if later[Role.MOTION].shape[:2] == self._size:
+                goes = invert_motion(*self._cells_of(later), far)
+        first, last = paths_of(motion, ahead, near, far, came if known_from_before else None, goes)
         for paths, frame in ((first, self.before), (last, self.after)):
-            paths.ends += np.array(frame.jitter * 2, np.float32)
+            paths.ends += np.array(frame.jitter * 2, np.float32) / np.float32(self._scale)
         return first, last
 
-    def _rank(self, motion: np.ndarray) -> list[np.ndarray]:
-        """What stands for depth where there is none: a path that fits both pictures is in front of one that does not.
-        """
-        ahead = invert_motion(motion, np.ones((*motion.shape[:2], 1), np.float32),
-                              np.ones((*motion.shape[:2], 1), np.float32))
-        first, last = self._toned
-        return [1 + _difference(first, last, ahead), 1 + _difference(last, first, motion)]
+    def _rank(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What stands for depth where there is none."""
+        first, last = self._small
+        near, far = (np.ones((*self._grid, 1), np.float32) for _ in range(2))
+        ahead = invert_motion(motion, far, near)
+        rank_paths(first, last, ahead, near)
+        rank_paths(last, first, motion, far)
+        return near, far
 
     @cached_property
     def _noise(self) -> np.float32:
         """Misfit of paths that are right, which is noise: the median."""
         _, last = self._paths
-        found = np.empty([side // 8 for side in last.seen.shape], np.float32)
-        misfits(*self._matched, *self._known, last.ends, last.seen, found)
+        found = np.empty([side // 4 for side in last.seen.shape], np.float32)
+        misfits(*self._matched, *self._known, last.ends, last.seen, self._scale, found)
         found = found[found >= 0]
         return np.float32(np.median(found) if found.size else 0)
 
     # What is made for a time
 
     def _choose(self, t: float) -> np.ndarray:
-        """Paths (h, w, 6) of the pixels at a time."""
+        """What `compose` takes of the cells at a time."""
         first, last = self._paths
         (one, near), (other, far) = _at_once([lambda: splat_paths(first, t), lambda: splat_paths(last, t)])
-        h, w = near.shape
-        fields = np.empty((3, h, w, 6), np.float32)
-        merge_sides(one, near, other, far, fields)
-        fields[..., :4] -= np.array((*self.before.jitter, *self.after.jitter), np.float32)
-        own = fields[0]
+        own = np.empty((*self._grid, 6), np.float32)
+        merge_sides(one, near, other, far, np.float32(self._scale), own)
+        if any((*self.before.jitter, *self.after.jitter)):
+            shift = np.array((*self.before.jitter, *self.after.jitter), np.float32)
+            own[..., :4] -= shift
+            for side in (one, other):
+                side[..., :4] -= shift / np.float32(self._scale)
         fill_holes(own, np.minimum(near, far))
-        flows = np.empty((0, h, w, 6), np.float32)
-        if self._flow and Role.MOTION in self.after:
-            ahead, back = consistent_motion(*self._estimated)
-            seen = np.ones((h, w, 2), np.float32)
-            flows = np.stack([np.concatenate([-t * ahead, (1 - t) * ahead, seen], -1, dtype=np.float32),
-                              np.concatenate([t * back, (t - 1) * back, seen], -1, dtype=np.float32)])
-        chosen: np.ndarray = np.empty((h, w, 6), np.float32)
-        _in_bands(h, choose_paths, *self._matched, *self._known, own, fields[1:], flows, self._noise, chosen)
-        return chosen
+        cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
+        _in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows, t,
+                  self._scale, self._noise, cells)
+        _in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, cells)
+        _in_bands(self._grid[0], join_cells, cells)
+        return cells
 
     def _make_planes(self, t: float, previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
         """Planes and parts at a time."""
         before, after = self.before, self.after
-        chosen = self._choose(t)
+        cells = self._choose(t)
         shared = [name for name, part in before.parts.items()
                   if name in after.parts and part.shape == after.parts[name].shape]
         exact = [name for name in shared if name in before.part_sources and before.part_sources[name].exact]
-        light: dict[Role | str, Pair] = {Role.COLOUR: self._pictures}
-        light |= {role: (_finite(before[role]), _finite(after[role])) for role in LIGHT if self._both_have(role)}
+        light: dict[Role | str, Pair] = {role: (_finite(before[role]), _finite(after[role])) for role in LIGHT
+                                         if self._both_have(role)}
         light |= {name: (_finite(before.parts[name]), _finite(after.parts[name])) for name in shared
                   if name not in exact}
         data: dict[Role | str, Pair] = {role: (before[role], after[role]) for role in DATA if self._both_have(role)}
         data |= {name: (before.parts[name], after.parts[name]) for name in exact}
-        stacks = [_stack([pair[side] for pair in group.values()], chosen.shape[:2])
-                  for group in (light, data) for side in (0, 1)]
-        mixed, taken = np.empty_like(stacks[0]), np.empty_like(stacks[2])
-        _in_bands(len(chosen), compose, *stacks, *self._known, chosen, t, mixed, taken)
+        stacks = [[_stack([pair[side] for pair in group.values()], self._size) for side in (0, 1)]
+                  for group in (light, data)]
+        picture, mixed, taken = (np.empty_like(pair[0]) for pair in (self._pictures, *stacks))
+        motion = np.empty((*self._size, 2) if Role.MOTION in after else (0, 0, 2), np.float32)
+        # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and 1
+        back = [np.float32((previous - t) * (previous - 1) / t), np.float32(previous * (previous - t) / (1 - t))]
+        _in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, self._masked, t, picture,
+                  *stacks[0], mixed, *stacks[1], taken, *back, motion)
         made = _split(mixed, light) | _split(taken, data)
-        picture = made[Role.COLOUR]
         made[Role.COLOUR] = self._put_over(picture, t)
         if Role.MOTION in after:
-            made[Role.MOTION] = _motion_between(chosen, t, previous)
+            made[Role.MOTION] = motion
         if self._both_have(Role.OPAQUE_COLOUR):
             made[Role.OPAQUE_COLOUR] = picture
         if self._both_have(Role.OVERLAY):
@@ -299,14 +384,13 @@ class Between:
             overlay = self._overlay_at(t)
             covered: np.ndarray = overlay[..., :3] + (1 - overlay[..., 3:]) * picture
             return covered
-        one, other = _finite(self.before[Role.COLOUR]), _finite(self.after[Role.COLOUR])
+        one, other = self._colours
         if self._both_have(Role.OPAQUE_COLOUR):
             clear = _clearness(one, other, *self._pictures)
             mean = self._pictures[0] + np.float32(t) * (self._pictures[1] - self._pictures[0])
             drawn: np.ndarray = one + np.float32(t) * (other - one) + clear * (picture - mean)
             return drawn
-        still = ~self._known[0]
-        return np.where(still[..., None], one, picture) if still.any() else picture
+        return np.where(self._known[0][..., None], picture, one) if self._masked else picture
 
 
 class Interpolator:
@@ -356,14 +440,6 @@ class Interpolator:
         return self.frame((time - first) / (last - first), number)
 
 
-def _motion_between(chosen: np.ndarray, t: float, previous: float) -> np.ndarray:
-    """Motion to an earlier time of paths at t: Lagrange's polynomial through their places at 0, t and 1."""
-    first = np.float32((previous - t) * (previous - 1) / t)
-    last = np.float32(previous * (previous - t) / (1 - t))
-    motion: np.ndarray = chosen[..., :2] * first + chosen[..., 2:4] * last
-    return motion
-
-
 def _take_out(colour: np.ndarray, overlay: np.ndarray) -> np.ndarray:
     """The picture under an overlay that was composited over it; black where nothing of it is left."""
     clear = 1 - overlay[..., 3:]
@@ -386,41 +462,15 @@ def _clearness(one: np.ndarray, other: np.ndarray, below: np.ndarray, below_othe
 
 
 def _finite(plane: np.ndarray) -> np.ndarray:
-    """The plane with 0 for what is not finite; itself if everything is."""
-    return plane if np.isfinite(plane).all() else np.nan_to_num(plane, nan=0, posinf=0, neginf=0)
-
-
-def _without_jumps(motion: np.ndarray) -> np.ndarray:
-    """Motion with NaN for what leads out of any picture: nothing follows it."""
-    most = np.float32(4 * max(motion.shape[:2]))
-    wrong = ~(np.abs(motion).max(-1) <= most)
-    if not wrong.any():
-        return motion
-    found = motion.copy()
-    found[wrong] = np.nan
-    return found
-
-
-def _depth(frame: Frame) -> np.ndarray:
-    """Depth (h, w, 1) between 0 and a miss; what is not a number counts as a miss."""
-    depth: np.ndarray = np.nan_to_num(frame[Role.DEPTH], nan=DEPTH_MISS, posinf=DEPTH_MISS, neginf=DEPTH_MISS)
-    depth = np.clip(depth, np.float32(1e-6), np.float32(DEPTH_MISS))
-    return depth
-
-
-def _difference(one: np.ndarray, other: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Mean difference (h, w, 1) of a toned picture to another one where its motion leads; 1 where it leads nowhere."""
-    h, w = motion.shape[:2]
-    y, x = np.mgrid[:h, :w]
-    u, v = x + 0.5 + motion[..., 0], y + 0.5 + motion[..., 1]
-    inside = (u >= 0) & (u < w) & (v >= 0) & (v < h)
-    rows, columns = np.where(inside, v, 0).astype(np.intp), np.where(inside, u, 0).astype(np.intp)
-    found = np.where(inside, np.abs(one - other[rows, columns]).mean(-1), 1)
-    return found[..., None].astype(np.float32)
+    """The plane with 0 for what is not finite; itself if everything is and it lies in one piece."""
+    plane = np.ascontiguousarray(plane)
+    return plane if is_finite(plane.ravel()) else np.nan_to_num(plane, nan=0, posinf=0, neginf=0)
 
 
 def _stack(planes: list[np.ndarray], size: tuple[int, ...]) -> np.ndarray:
     """All channels (h, w, n) of planes of this size, of which there may be none."""
+    if len(planes) == 1:
+        return np.ascontiguousarray(planes[0], np.float32)
     return np.concatenate(planes, -1, dtype=np.float32) if planes else np.empty((*size, 0), np.float32)
 
 
@@ -442,6 +492,6 @@ def _at_once(tasks: Iterable[Callable[[], Any]]) -> list[Any]:
 
 def _in_bands(height: int, kernel: Callable[..., None], *arguments: Any) -> None:
     """Run a kernel on all rows, in bands side by side: small ones, as some rows take longer than others."""
-    band = max(8, -(-height // (8 * usable_cores())))
+    band = max(4, -(-height // (16 * usable_cores()))) * 2
     _at_once([lambda first=first: kernel(first, min(height, first + band), *arguments)  # type: ignore[misc]
               for first in range(0, height, band)])

@@ -1,319 +1,351 @@
-"""Which path shows what is at a pixel between two frames, and the picture that the paths make.
+"""The picture that the paths make, of planes of both frames.
 
-`choose_paths` compares what a path shows in both frames, over 5x5 pixels of toned pictures. A pixel keeps the path that
-arrived at it unless a neighbour's, or the flow's, agrees much better: edges of planes are coarse, averaged over samples
-or noisy. A path that only one frame shows cannot be compared; it counts as a fair match, for it is there by geometry.
-`compose` then takes each pixel from both frames, by time, or from the one that shows its point. Where neighbours follow
-other paths, the pixel is the mean of all of them (overlapped block motion compensation; Orchard and Sullivan 1994).
+Each pixel is taken from both frames, by time, or from the one that shows its point. Where the four cells around it
+follow one path, that is interpolated between them; else the pixel is the mean over their paths (overlapped block motion
+compensation; Orchard and Sullivan 1994). Pictures are sampled by the cubics of Mitchell and Netravali (1988, B = 1 - k,
+C = k / 2) within the range of the four pixels around a place: Catmull and Rom's where both frames show the same detail,
+and B-splines, which average over noise, where they do not.
 
-Fields of paths are (h, w, 6) float32: from the pixel to its place in the frame before (x, y), in the one after (x, y),
-and whether each of the two shows the point, 0 or 1. NaN: no path.
+Cells are (rows, columns, 8) float32: a path as in `choose`, the share k of its detail that both frames show, and 0.
 """
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from postfx.interpolate.paths import ALIKE, FAR
-from postfx.kernels.image import catmull_rom
-from postfx.kernels.numeric import Real, compiled, inline
+from postfx.interpolate.choose import OTHER, is_within
+from postfx.kernels.lanes import in_lanes
+from postfx.kernels.numeric import Real, compiled, inline, summed
 
-Path: TypeAlias = tuple[Real, Real, Real, Real, Real, Real]
-"""A path of a field."""
-REACH, SIDE = 2, 5
-"""Pixels around a pixel that are compared, and along the side of their square."""
-OTHER = np.float32(0.3)
-"""Pixels by which paths must differ to be worth a comparison."""
-BETTER = np.float32(1.5)
-"""How many times as well another path must fit to be taken."""
-UNSEEN, UNSEEN_NOISE = np.float32(0.12), np.float32(2)
-"""What stands for the misfit of a path that cannot be compared: a part that is fixed, and a multiple of the noise's."""
-TRUSTED = np.float32(0.5)
-"""Share of that misfit below which a path that was thought unseen is seen after all."""
-SURE = np.float32(0.7)
-"""Share of the paths that arrive at a pixel that must be seen by the other frame: a sample of it has pixels around."""
 ZERO, ONE = np.float32(0), np.float32(1)
-STEPS = np.array([(0, 0), *((d * y, d * x) for d in (1, 2) for y, x in ((0, 1), (1, 0), (0, -1), (-1, 0)))])
-"""Neighbours whose paths are tried."""
+NOTHING = (ZERO, ZERO, ZERO)
 LEAST = np.float32(1e-4)
 """Weight of a frame that does not show a point, so that something is there where none does."""
+LITTLE = np.float32(1e-3)
+"""Weight below which a frame does not count."""
+ALIKE, UNSURE, TINY = np.float32(0.05**2), np.float32(0.2), np.float32(1e-6)
+"""Relative difference of both frames, squared, from which a path counts less beside others; what stands for it where
+only one frame shows a point; light below which nothing counts."""
+Cell: TypeAlias = tuple[Real, Real, Real, Real, Real, Real, Real]
+"""A path of a cell, and how sharp the pictures are there."""
+Taps: TypeAlias = tuple[Real, Real, Real, Real]
+Three: TypeAlias = tuple[Real, Real, Real]
 
 
-@compiled
-def merge_sides(first: np.ndarray, first_depth: np.ndarray, last: np.ndarray, last_depth: np.ndarray,
-                fields: np.ndarray) -> None:
-    """Fields of three: of both sides as the nearer one, of the frame before, and of the frame after.
-
-    first, last: (h, w, 6) as `paths.close_cracks` leaves them; depths: (h, w), FAR where no path arrived.
-    """
-    h, w = first_depth.shape
-    half = np.float32(0.5)
-    for y in range(h):
-        for x in range(w):
-            a, b = first_depth[y, x], last_depth[y, x]
-            for c in range(6):
-                fields[1, y, x, c] = first[y, x, c] if a < FAR else np.float32(np.nan)
-                fields[2, y, x, c] = last[y, x, c] if b < FAR else np.float32(np.nan)
-            if a < FAR:
-                fields[1, y, x, 4], fields[1, y, x, 5] = ONE, np.float32(first[y, x, 4] >= SURE)
-            if b < FAR:
-                fields[2, y, x, 4], fields[2, y, x, 5] = np.float32(last[y, x, 4] >= SURE), ONE
-            both = a < FAR and b < FAR and abs(a - b) <= np.float32(1.5) * ALIKE * min(a, b)
-            for c in range(4):
-                nearer = fields[1, y, x, c] if a < b else fields[2, y, x, c]
-                fields[0, y, x, c] = half * (first[y, x, c] + last[y, x, c]) if both else nearer
-            if both:  # each side is sure of its own frame, and asked about the other one
-                one, other = fields[2, y, x, 4], fields[1, y, x, 5]
-                fields[0, y, x, 4], fields[0, y, x, 5] = (one, other) if one + other > 0 else (ONE, ONE)
-            else:
-                for c in range(4, 6):
-                    fields[0, y, x, c] = fields[1, y, x, c] if a < b else fields[2, y, x, c]
+CUBIC = ((0.0, 1.0, 0.0, 0.0), (-0.5, 0.0, 0.5, 0.0), (1.0, -2.5, 2.0, -0.5), (-0.5, 1.5, -1.5, 0.5))
+SPLINE = ((1 / 6, 2 / 3, 1 / 6, 0.0), (-0.5, 0.0, 0.5, 0.0), (0.5, -1.0, 0.5, 0.0), (-1 / 6, 0.5, -0.5, 1 / 6))
+"""Weights of four taps around a place after the second one: of its powers from 0 to 3."""
 
 
-@compiled
-def fill_holes(field: np.ndarray, depth: np.ndarray) -> None:
-    """Give pixels without a path that of the farthest of the next ones to the left, to the right, above and below: what
-    is uncovered is background. Without any, the pixel stands still."""
-    h, w = depth.shape
-    best = np.full((h, w), -ONE, np.float32)
-    filled = np.zeros((h, w, 6), np.float32)
-    for turn in range(4):
-        lines, length = (h, w) if turn < 2 else (w, h)
-        for line in range(lines):
-            j, i, known = 0, 0, False
-            for k in range(length):
-                at = k if turn % 2 == 0 else length - 1 - k
-                y, x = (line, at) if turn < 2 else (at, line)
-                if field[y, x, 0] == field[y, x, 0]:
-                    j, i, known = y, x, True
-                elif known and depth[j, i] > best[y, x]:
-                    best[y, x] = depth[j, i]
-                    filled[y, x] = field[j, i]
-    for y in range(h):
-        for x in range(w):
-            if field[y, x, 0] != field[y, x, 0]:
-                field[y, x] = filled[y, x]
-                if best[y, x] < 0:
-                    field[y, x, 4], field[y, x, 5] = ONE, ONE
+def weights_at(v: Any, t: Any, sharp: Any) -> Any:
+    """Weights of four taps around a place in [0, 1) after the second one: sharp times CUBIC, and SPLINE."""
+    ones, first, squares, cubes = (v.constant(soft).to(v.constant(cubic), sharp)
+                                   for soft, cubic in zip(SPLINE, CUBIC, strict=True))
+    return ((cubes * t + squares) * t + first) * t + ones
+
+
+@in_lanes(4, results=4)
+def taps_at(v: Any, t: Any, sharp: Any) -> Any:
+    """The same in numbers."""
+    weights = weights_at(v, t, sharp)
+    return tuple(weights.number(k) for k in range(4))
+
+
+@in_lanes(16, results=3)
+def cubic_three(v: Any, flat: Any, at: Any, stride: Any, down: Any, across: Any, sharp: Any) -> Any:
+    """Weighted sum of 4x4 pixels of three numbers, within the range of the middle four. Reads a third of a pixel on."""
+    rows = [v.load(flat, v.step(at, stride, j)) for j in range(4)]
+    under, beside = weights_at(v, down, sharp), weights_at(v, across, sharp)
+    column = v.sum([row * under.spread(j, 16) for j, row in enumerate(rows)])
+    value = v.sum([column.part(3 * i, 4) * beside.spread(i, 4) for i in range(4)])
+    inner = [row.part(3 * i, 4) for row in rows[1:3] for i in (1, 2)]
+    low = inner[0].least(inner[1]).least(inner[2].least(inner[3]))
+    high = inner[0].largest(inner[1]).largest(inner[2].largest(inner[3]))
+    value = value.largest(low).least(high)
+    return tuple(value.number(k) for k in range(3))
+
+
+@in_lanes(8, results=8)
+def path_between(v: Any, cells: Any, p: Any, q: Any, r: Any, s: Any, across: Any, down: Any) -> Any:
+    """What is known of cells, between four of them."""
+    upper, lower = (v.load(cells, a).to(v.load(cells, b), across) for a, b in ((p, q), (r, s)))
+    found = upper.to(lower, down)
+    return tuple(found.number(k) for k in range(8))
 
 
 @inline
-def lerp(picture: np.ndarray, top: int, low: int, left: int, right: int, down: Real, across: Real, c: int) -> Real:
-    """Value between four pixels."""
-    upper = picture[top, left, c] + (picture[top, right, c] - picture[top, left, c]) * across
-    return upper + (picture[low, left, c] + (picture[low, right, c] - picture[low, left, c]) * across - upper) * down
+def cubic_one(picture: np.ndarray, j: int, i: int, down: Taps, across: Taps, c: int) -> Real:
+    """One channel at a place after a pixel: likewise, anywhere in the picture."""
+    h, w = picture.shape[:2]
+    first, third, fourth = max(i - 1, 0), min(i + 1, w - 1), min(i + 2, w - 1)
+    value, low = ZERO, min(j + 1, h - 1)
+    for b in range(4):
+        row = min(max(j - 1 + b, 0), h - 1)
+        value += down[b] * (across[0] * picture[row, first, c] + across[1] * picture[row, i, c]
+                            + across[2] * picture[row, third, c] + across[3] * picture[row, fourth, c])
+    p, q, r, s = picture[j, i, c], picture[j, third, c], picture[low, i, c], picture[low, third, c]
+    return min(max(value, min(min(p, q), min(r, s))), max(max(p, q), max(r, s)))
 
 
 @inline
-def is_within(known: np.ndarray, y: Real, x: Real) -> bool:
-    """Whether a place is in the picture, at a pixel that is known."""
-    h, w = known.shape
-    if not (-0.5 < x < w - 0.5 and -0.5 < y < h - 0.5):
-        return False
-    return bool(known[min(int(y + np.float32(0.5)), h - 1), min(int(x + np.float32(0.5)), w - 1)])
-
-
-@compiled
-def misfit(before: np.ndarray, after: np.ndarray, known_before: np.ndarray, known_after: np.ndarray, y: int, x: int,
-           path: Path, most: Real) -> Real:
-    """Mean difference of two toned pictures around the places that a path leads to; -1 where one is not in its picture.
-
-    It is not added up further than to `most`.
-    """
-    h, w = known_before.shape
-    ax, ay, bx, by = x + path[0], y + path[1], x + path[2], y + path[3]
-    if not (is_within(known_before, ay, ax) and is_within(known_after, by, bx)):
-        return -ONE
-    i, j, k, m = int(np.floor(ax)), int(np.floor(ay)), int(np.floor(bx)), int(np.floor(by))
-    across, down, across_after, down_after = ax - i, ay - j, bx - k, by - m
-    i, j, k, m = i - REACH, j - REACH, k - REACH, m - REACH
-    channels = before.shape[2]
-    total, most = ZERO, most * np.float32(channels * SIDE * SIDE)
-    inside = min(i, j, k, m) >= 0 and max(i, k) < w - SIDE and max(j, m) < h - SIDE
-    for row in range(SIDE):
-        for column in range(SIDE):
-            if inside:
-                for c in range(channels):
-                    total += abs(lerp(before, j + row, j + row + 1, i + column, i + column + 1, down, across, c)
-                                 - lerp(after, m + row, m + row + 1, k + column, k + column + 1, down_after,
-                                        across_after, c))
-                continue
-            top, low = min(max(j + row, 0), h - 1), min(max(j + row + 1, 0), h - 1)
-            left, right = min(max(i + column, 0), w - 1), min(max(i + column + 1, 0), w - 1)
-            up, under = min(max(m + row, 0), h - 1), min(max(m + row + 1, 0), h - 1)
-            near, far = min(max(k + column, 0), w - 1), min(max(k + column + 1, 0), w - 1)
-            for c in range(channels):
-                total += abs(lerp(before, top, low, left, right, down, across, c)
-                             - lerp(after, up, under, near, far, down_after, across_after, c))
-        if total > most:
-            break
-    return total / np.float32(channels * SIDE * SIDE)
+def corner_of(y: Real, x: Real, h: int, w: int) -> tuple[int, int, Real, Real]:
+    """The pixel before a place, which is held in the picture, and how far after it the place lies, down and across."""
+    y, x = min(max(y, ZERO), np.float32(h - 1)), min(max(x, ZERO), np.float32(w - 1))
+    j, i = int(y), int(x)
+    return j, i, np.float32(y - j), np.float32(x - i)
 
 
 @inline
-def path_at(field: np.ndarray, y: int, x: int) -> Path:
-    """A pixel's path in numbers: a view of the array would cost more than all else."""
-    return field[y, x, 0], field[y, x, 1], field[y, x, 2], field[y, x, 3], field[y, x, 4], field[y, x, 5]
-
-
-@inline
-def path_of(fields: np.ndarray, k: int, y: int, x: int) -> Path:
-    """Likewise, of one of several fields."""
-    return (fields[k, y, x, 0], fields[k, y, x, 1], fields[k, y, x, 2], fields[k, y, x, 3], fields[k, y, x, 4],
-            fields[k, y, x, 5])
-
-
-@inline
-def differ(one: Path, other: Path) -> bool:
-    """Whether two paths lead to other places."""
-    return bool(abs(one[0] - other[0]) > OTHER or abs(one[1] - other[1]) > OTHER or abs(one[2] - other[2]) > OTHER
-                or abs(one[3] - other[3]) > OTHER)
-
-
-@compiled
-def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
-                 known_after: np.ndarray, own: np.ndarray, fields: np.ndarray, flows: np.ndarray, noise: Real,
-                 chosen: np.ndarray) -> None:
-    """The path of each pixel: its own, or another one around it or of the flow that fits much better.
-
-    before, after: (h, w, 3) toned. known: (h, w), False under overlays. own: (h, w, 6). fields: (k, h, w, 6), whose
-    paths around a pixel are tried. flows: (m, h, w, 6), whose path of the pixel is. noise: misfit of paths that are
-    right.
-    """
-    h, w = own.shape[:2]
-    unseen = UNSEEN + UNSEEN_NOISE * noise
-    steps, channels = STEPS.shape[0], chosen.shape[2]
-    around = fields.shape[0] * steps
-    for y in range(y0, y1):
-        for x in range(w):
-            mine = path_at(own, y, x)
-            taken, is_seen = mine, False
-            best = np.float32(-2)  # not looked at yet: many pixels have no other path around them
-            for k in range(around + flows.shape[0]):
-                j, i = y, x
-                if k < around:
-                    j, i = y + STEPS[k % steps, 0], x + STEPS[k % steps, 1]
-                    if not (0 <= j < h and 0 <= i < w):
-                        continue
-                path = path_of(fields, k // steps, j, i) if k < around else path_of(flows, k - around, j, i)
-                if path[0] != path[0] or not differ(path, taken):
-                    continue
-                if best < -ONE:
-                    best = misfit(before, after, known_before, known_after, y, x, mine, ONE)
-                    is_seen = 0 <= best < TRUSTED * unseen
-                    if not is_seen and (best < 0 or mine[4] + mine[5] < 2):
-                        best = unseen
-                if best <= noise:
-                    break
-                fit = misfit(before, after, known_before, known_after, y, x, path, best)
-                fits = 0 <= fit < TRUSTED * unseen
-                if not fits and (fit < 0 or path[4] + path[5] < 2):
-                    fit = unseen
-                if BETTER * fit + noise < best:
-                    best, taken, is_seen = fit, path, fits
-            for c in range(channels):
-                chosen[y, x, c] = ONE if is_seen and c > 3 else taken[c]
-
-
-@compiled
-def add_cubic(picture: np.ndarray, v: Real, u: Real, weight: Real, light: np.ndarray, y: int, x: int) -> None:
-    """Add the values at a place (v, u) to a pixel (y, x): cubics within the range of the 4x4 pixels around it."""
-    h, w, count = picture.shape
-    u, v = min(max(u, ZERO), np.float32(w - 1)), min(max(v, ZERO), np.float32(h - 1))
-    i, j = int(u), int(v)
-    if u == i and v == j:
-        for c in range(count):
-            light[y, x, c] += weight * picture[j, i, c]
-        return
-    across, down = catmull_rom(u - i), catmull_rom(v - j)
-    first, second, third, fourth = max(i - 1, 0), i, min(i + 1, w - 1), min(i + 2, w - 1)
-    for c in range(count):
-        least, most, value = np.float32(np.inf), np.float32(-np.inf), ZERO
-        for b in range(4):
-            row = min(max(j - 1 + b, 0), h - 1)
-            one, two, three, four = (picture[row, first, c], picture[row, second, c], picture[row, third, c],
-                                     picture[row, fourth, c])
-            least = min(min(min(least, one), min(two, three)), four)
-            most = max(max(max(most, one), max(two, three)), four)
-            value += down[b] * (across[0] * one + across[1] * two + across[2] * three + across[3] * four)
-        light[y, x, c] += weight * min(max(value, least), most)
-
-
-@inline
-def weights_of(path: Path, known_before: np.ndarray, known_after: np.ndarray, y: int, x: int, t: Real
-               ) -> tuple[Real, Real]:
-    """Weights of the two frames, 1 together."""
-    first, last = path[4], path[5]
-    if not is_within(known_before, y + path[1], x + path[0]):
-        first = ZERO
-    if not is_within(known_after, y + path[3], x + path[2]):
-        last = ZERO
+def shares_of(first: Real, last: Real, t: Real) -> tuple[Real, Real]:
+    """Weights of the two frames, 1 together, by whether they show a point."""
     one, other = (ONE - t) * (first + LEAST), t * (last + LEAST)
-    return one / (one + other), other / (one + other)
+    share = one / (one + other)
+    share = ZERO if share < LITTLE else ONE if share > ONE - LITTLE else share
+    return share, ONE - share
+
+
+@inline
+def weights_of(path: Cell, known_before: np.ndarray, known_after: np.ndarray, y: int, x: int, t: Real
+               ) -> tuple[Real, Real]:
+    """Weights of the two frames for a path of a pixel."""
+    first = path[4] if is_within(known_before, y + path[1], x + path[0]) else ZERO
+    last = path[5] if is_within(known_after, y + path[3], x + path[2]) else ZERO
+    shares: tuple[Real, Real] = shares_of(first, last, t)
+    return shares
 
 
 @compiled
-def add_place(light_before: np.ndarray, light_after: np.ndarray, known_before: np.ndarray, known_after: np.ndarray,
-              y: int, x: int, path: Path, t: Real, share: Real, light: np.ndarray) -> Real:
-    """Add what a path shows at a pixel, times a share; returns the weight that was added."""
-    one, other = weights_of(path, known_before, known_after, y, x, t)
-    whole = ZERO
-    if one > LEAST:
-        add_cubic(light_before, y + path[1], x + path[0], share * one, light, y, x)
-        whole += share * one
-    if other > LEAST:
-        add_cubic(light_after, y + path[3], x + path[2], share * other, light, y, x)
-        whole += share * other
-    return whole
+def join_cells(y0: int, y1: int, cells: np.ndarray) -> None:
+    """Mark cells that follow one path with those to the right and below."""
+    rows, columns = cells.shape[:2]
+    for y in range(y0, y1):
+        low = min(y + 1, rows - 1)
+        for x in range(columns):
+            right = min(x + 1, columns - 1)
+            is_one = True
+            for c in range(6):
+                one, most = cells[y, x, c], OTHER if c < 4 else ZERO
+                beside, under = abs(cells[y, right, c] - one), abs(cells[low, x, c] - one)
+                is_one = is_one and max(max(beside, under), abs(cells[low, right, c] - one)) <= most
+            cells[y, x, 7] = ONE if is_one else ZERO
+
+
+@inline
+def between_cells(position: int, size: Real, count: int) -> tuple[int, int, Real]:
+    """The cells before and after a pixel's middle, and how far it is from the first to the second one."""
+    half = np.float32(0.5)
+    at = min(max((position + half) * size - half, ZERO), np.float32(count - 1))
+    first = int(at)
+    return first, min(first + 1, count - 1), np.float32(at - first)
 
 
 @compiled
-def compose(y0: int, y1: int, light_before: np.ndarray, light_after: np.ndarray, data_before: np.ndarray,
-            data_after: np.ndarray, known_before: np.ndarray, known_after: np.ndarray, paths: np.ndarray,
-            t: float, light: np.ndarray, data: np.ndarray) -> None:
+def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, paths: np.ndarray) -> None:
+    """Paths (w, 8) of a row of pixels: between four cells that are joined, or that of the nearest one. The last number
+    is 1 for joined ones, else 0. cells: flat. size: cells of a pixel."""
+    half = np.float32(0.5)
+    top, low, down = between_cells(y, size, rows)
+    for x in range(paths.shape[0]):
+        left, right, across = between_cells(x, size, columns)
+        p, q, r, s = top * columns + left, top * columns + right, low * columns + left, low * columns + right
+        joined = cells[8 * p + 7]
+        if joined == 0:
+            p = (s if across > half else r) if down > half else q if across > half else p
+            q, r, s = p, p, p
+        found = path_between(cells, 8 * p, 8 * q, 8 * r, 8 * s, across, down)
+        for c in range(7):
+            paths[x, c] = found[c]
+        paths[x, 7] = joined
+
+
+@compiled
+def weigh_row(paths: np.ndarray, h: int, y: int, t: Real, shares: np.ndarray) -> None:
+    """Weights (w, 2) of both frames for a row of pixels, where everything is known."""
+    half, end, bottom = np.float32(0.5), np.float32(paths.shape[0] - 0.5), np.float32(h - 0.5)
+    for x in range(paths.shape[0]):
+        u, v, p, q = x + paths[x, 0], y + paths[x, 1], x + paths[x, 2], y + paths[x, 3]
+        first = paths[x, 4] if (u > -half) & (v > -half) & (u < end) & (v < bottom) else ZERO
+        last = paths[x, 5] if (p > -half) & (q > -half) & (p < end) & (q < bottom) else ZERO
+        shares[x, 0], shares[x, 1] = shares_of(first, last, t)
+
+
+@compiled
+def weigh_known_row(paths: np.ndarray, known_before: np.ndarray, known_after: np.ndarray, y: int, t: Real,
+                    shares: np.ndarray) -> None:
+    """Likewise, where something is not known."""
+    for x in range(paths.shape[0]):
+        path = paths[x, 0], paths[x, 1], paths[x, 2], paths[x, 3], paths[x, 4], paths[x, 5], paths[x, 6]
+        shares[x, 0], shares[x, 1] = weights_of(path, known_before, known_after, y, x, t)
+
+
+@compiled
+def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.ndarray, shares: np.ndarray,
+               row: np.ndarray) -> None:
+    """Colours (w, 3) of a row of pixels where cells are joined and no edge is near; NaN elsewhere. before, after: flat.
+    """
+    w = row.shape[0]
+    for x in range(w):
+        j, i, down, across = corner_of(y + paths[x, 1], x + paths[x, 0], h, w)
+        m, n, under, beside = corner_of(y + paths[x, 3], x + paths[x, 2], h, w)
+        is_inner = (min(j, m) >= 1) & (max(j, m) < h - 2) & (min(i, n) >= 1) & (max(i, n) < w - 4)
+        if not (is_inner & (paths[x, 7] > 0)):
+            row[x, 0] = np.nan
+            continue
+        one, other = shares[x, 0], shares[x, 1]
+        a, b, c = cubic_three(before, ((j - 1) * w + i - 1) * 3, 3 * w, down, across, paths[x, 6])
+        p, q, r = cubic_three(after, ((m - 1) * w + n - 1) * 3, 3 * w, under, beside, paths[x, 6])
+        row[x, 0], row[x, 1], row[x, 2] = one * a + other * p, one * b + other * q, one * c + other * r
+
+
+@inline
+def colour_at(picture: np.ndarray, flat: np.ndarray, y: Real, x: Real, sharp: Real) -> Three:
+    """Three channels at a place."""
+    h, w = picture.shape[:2]
+    j, i, v, u = corner_of(y, x, h, w)
+    if 1 <= j < h - 2 and 1 <= i < w - 4:
+        inner: Three = cubic_three(flat, ((j - 1) * w + i - 1) * 3, 3 * w, v, u, sharp)
+        return inner
+    down, across = taps_at(v, sharp), taps_at(u, sharp)
+    return (cubic_one(picture, j, i, down, across, 0), cubic_one(picture, j, i, down, across, 1),
+            cubic_one(picture, j, i, down, across, 2))
+
+
+@inline
+def cell_of(flat: np.ndarray, at: int) -> Cell:
+    """The path of a cell."""
+    return flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4], flat[at + 5], flat[at + 6]
+
+
+@compiled
+def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
+            known_after: np.ndarray, y: int, t: Real, paths: np.ndarray, shares: np.ndarray, row: np.ndarray,
+            mixture: np.ndarray) -> None:
+    """Colours (w, 3) of those pixels of a row that are NaN: by their path between joined cells, or by those of the four
+    cells around them, whose shares of the pixel (w, 4) are written to `mixture`."""
+    h, w = before.shape[:2]
+    flat, flat_before, flat_after = cells.reshape(-1), before.reshape(-1), after.reshape(-1)
+    flat_paths, rows, columns = paths.reshape(-1), cells.shape[0], cells.shape[1]
+    top, low, down = between_cells(y, size, rows)
+    for x in range(w):
+        if row[x, 0] == row[x, 0]:
+            continue
+        left, right, across = between_cells(x, size, columns)
+        joined = paths[x, 7] > 0
+        red, green, blue, whole, best = ZERO, ZERO, ZERO, ZERO, ZERO
+        for k in range(1 if joined else 4):
+            share, path = ONE, cell_of(flat_paths, 8 * x)
+            if not joined:
+                share = (down if k > 1 else ONE - down) * (across if k % 2 else ONE - across)
+                path = cell_of(flat, 8 * ((low if k > 1 else top) * columns + (right if k % 2 else left)))
+            first, last = weights_of(path, known_before, known_after, y, x, t)
+            a, b, c = NOTHING
+            p, q, r = NOTHING
+            if first > 0:
+                a, b, c = colour_at(before, flat_before, y + path[1], x + path[0], path[6])
+            if last > 0:
+                p, q, r = colour_at(after, flat_after, y + path[3], x + path[2], path[6])
+            if not joined:
+                light = abs(a) + abs(b) + abs(c) + abs(p) + abs(q) + abs(r)
+                apart = UNSURE if first == 0 or last == 0 else (abs(a - p) + abs(b - q) + abs(c - r)) / (light + TINY)
+                share /= ALIKE + apart * apart
+                mixture[x, k] = share
+                if share > best:
+                    best, shares[x, 0], shares[x, 1] = share, first, last
+                    for z in range(7):
+                        paths[x, z] = path[z]
+            red, green, blue = (red + share * (first * a + last * p), green + share * (first * b + last * q),
+                                blue + share * (first * c + last * r))
+            whole += share
+        row[x, 0], row[x, 1], row[x, 2] = red / whole, green / whole, blue / whole
+        if not joined:
+            for k in range(4):
+                mixture[x, k] /= whole
+
+
+@compiled
+def add_path(before: np.ndarray, after: np.ndarray, path: Cell, y: int, x: int, one: Real, other: Real,
+             row: np.ndarray) -> None:
+    """Add what a path shows at a pixel, by weights of the two frames, to its channels."""
+    h, w, count = before.shape
+    j, i, down, across = corner_of(y + path[1], x + path[0], h, w)
+    m, n, under, beside = corner_of(y + path[3], x + path[2], h, w)
+    first, second, third, fourth = (taps_at(down, path[6]), taps_at(across, path[6]), taps_at(under, path[6]),
+                                    taps_at(beside, path[6]))
+    for c in range(count):
+        if one > 0:
+            row[x, c] += one * cubic_one(before, j, i, first, second, c)
+        if other > 0:
+            row[x, c] += other * cubic_one(after, m, n, third, fourth, c)
+
+
+@compiled
+def light_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
+              known_after: np.ndarray, y: int, t: Real, paths: np.ndarray, shares: np.ndarray, mixture: np.ndarray,
+              row: np.ndarray) -> None:
+    """Other light (w, n) of a row of pixels, of the same mixture as their colours."""
+    flat, columns = cells.reshape(-1), cells.shape[1]
+    top, low, _ = between_cells(y, size, cells.shape[0])
+    for x in range(row.shape[0]):
+        for c in range(row.shape[1]):
+            row[x, c] = ZERO
+        if paths[x, 7] > 0:
+            add_path(before, after, cell_of(paths.reshape(-1), 8 * x), y, x, shares[x, 0], shares[x, 1], row)
+            continue
+        left, right, _ = between_cells(x, size, columns)
+        for k in range(4):
+            path = cell_of(flat, 8 * ((low if k > 1 else top) * columns + (right if k % 2 else left)))
+            first, last = weights_of(path, known_before, known_after, y, x, t)
+            add_path(before, after, path, y, x, mixture[x, k] * first, mixture[x, k] * last, row)
+
+
+@compiled
+def take_row(before: np.ndarray, after: np.ndarray, y: int, paths: np.ndarray, shares: np.ndarray, row: np.ndarray
+             ) -> None:
+    """Data (w, m) of a row of pixels: that of the nearest pixel in the frame that counts more."""
+    h, w = before.shape[:2]
+    half = np.float32(0.5)
+    for x in range(w):
+        is_first = shares[x, 0] >= shares[x, 1]
+        j, i, _, _ = corner_of(y + half + (paths[x, 1] if is_first else paths[x, 3]),
+                               x + half + (paths[x, 0] if is_first else paths[x, 2]), h, w)
+        for c in range(row.shape[1]):
+            row[x, c] = before[j, i, c] if is_first else after[j, i, c]
+
+
+@compiled
+def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray, after: np.ndarray,
+            known_before: np.ndarray, known_after: np.ndarray, masked: bool, t: Real, colour: np.ndarray,
+            light_before: np.ndarray, light_after: np.ndarray, light: np.ndarray, data_before: np.ndarray,
+            data_after: np.ndarray, data: np.ndarray, by_first: Real, by_last: Real, motion: np.ndarray) -> None:
     """The planes between: light is mixed, data is that of the nearest pixel in the frame that counts more.
 
-    light: (h, w, n) colour, alpha, reflectances. data: (h, w, m) depth, normals, ids.
+    before, after, colour: (h, w, 3). light: (h, w, n) alpha, reflectances. data: (h, w, m) depth, normals, ids. motion:
+    (h, w, 2) of pixels, or empty: what leads to both frames, times by_first and by_last. scale: pixels of a cell.
+    masked: whether anything is not known.
     """
-    h, w, count = light.shape
-    half, at = np.float32(0.5), np.float32(t)
+    h, w = colour.shape[:2]
+    time, size = np.float32(t), np.float32(1 / scale)
+    flat_cells, flat_before, flat_after = cells.reshape(-1), before.reshape(-1), after.reshape(-1)
+    paths, shares, mixture = np.empty((w, 8), np.float32), np.empty((w, 2), np.float32), np.empty((w, 4), np.float32)
     for y in range(y0, y1):
-        for x in range(w):
-            own = path_at(paths, y, x)
-            whole, mine = ZERO, ZERO
-            for c in range(count):
-                light[y, x, c] = ZERO
-            for j in range(max(0, y - 1), min(h, y + 2)):
-                for i in range(max(0, x - 1), min(w, x + 2)):
-                    share, path = np.float32((2 - abs(j - y)) * (2 - abs(i - x))), path_at(paths, j, i)
-                    if differ(path, own):
-                        whole += add_place(light_before, light_after, known_before, known_after, y, x, path, at, share,
-                                           light)
-                    else:
-                        mine += share
-            whole += add_place(light_before, light_after, known_before, known_after, y, x, own, at, mine, light)
-            for c in range(count):
-                light[y, x, c] /= whole
-            one, other = weights_of(own, known_before, known_after, y, x, at)
-            is_first = one >= other
-            v, u = y + (own[1] if is_first else own[3]) + half, x + (own[0] if is_first else own[2]) + half
-            j, i = int(min(max(v, ZERO), np.float32(h - 1))), int(min(max(u, ZERO), np.float32(w - 1)))
-            for c in range(data.shape[2]):
-                data[y, x, c] = data_before[j, i, c] if is_first else data_after[j, i, c]
-
-
-@compiled
-def misfits(before: np.ndarray, after: np.ndarray, known_before: np.ndarray, known_after: np.ndarray, ends: np.ndarray,
-            seen: np.ndarray, found: np.ndarray) -> None:
-    """Misfit at the middle of each 8x8 pixels of the frame after that the frame before shows too; -1 elsewhere."""
-    for row in range(found.shape[0]):
-        for column in range(found.shape[1]):
-            y, x = 8 * row + 4, 8 * column + 4
-            path = ends[y, x, 0], ends[y, x, 1], ends[y, x, 2], ends[y, x, 3], ONE, ONE
-            fit = misfit(before, after, known_before, known_after, y, x, path, ONE)
-            found[row, column] = fit if seen[y, x] else -ONE
+        find_row(flat_cells, cells.shape[0], cells.shape[1], size, y, paths)
+        if masked:
+            weigh_known_row(paths, known_before, known_after, y, time, shares)
+        else:
+            weigh_row(paths, h, y, time, shares)
+        sample_row(flat_before, flat_after, h, y, paths, shares, colour[y])
+        mix_row(cells, size, before, after, known_before, known_after, y, time, paths, shares, colour[y], mixture)
+        if light.shape[2]:
+            light_row(cells, size, light_before, light_after, known_before, known_after, y, time, paths, shares,
+                      mixture, light[y])
+        if data.shape[2]:
+            take_row(data_before, data_after, y, paths, shares, data[y])
+        if motion.size:
+            for x in range(w):
+                motion[y, x, 0] = by_first * paths[x, 0] + by_last * paths[x, 2]
+                motion[y, x, 1] = by_first * paths[x, 1] + by_last * paths[x, 3]
 
 
 @compiled
@@ -359,3 +391,27 @@ def is_same(before: np.ndarray, after: np.ndarray, y: int, x: int) -> bool:
     """Whether a pixel has the same colour in both frames."""
     return bool(before[y, x, 0] == after[y, x, 0] and before[y, x, 1] == after[y, x, 1]
                 and before[y, x, 2] == after[y, x, 2])
+
+
+@summed
+def sum_of_nothing(flat: np.ndarray) -> Real:
+    """0, or NaN if a number is not finite."""
+    total = np.float32(0)
+    for i in range(flat.size):
+        total += flat[i] * np.float32(0)
+    return total
+
+
+@compiled
+def is_finite(flat: np.ndarray) -> bool:
+    """Whether all numbers are finite."""
+    return bool(sum_of_nothing(flat) == 0)
+
+
+@compiled
+def is_same_plane(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether all numbers are the same, or NaN in both."""
+    for i in range(one.size):
+        if one[i] != other[i] and (one[i] == one[i] or other[i] == other[i]):
+            return False
+    return True

@@ -8,12 +8,17 @@ their means, so that a change of light does not count.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from postfx.kernels.numeric import Real, compiled, inline
+from postfx.kernels.lanes import in_lanes
+from postfx.kernels.numeric import Real, compiled, inline, vectorised
 
 PATCH, STRIDE = 8, 4
 """Pixels along a patch's side, and from one patch to the next."""
+MARGIN = PATCH + 2
+"""Pixels around a picture that is searched: its edges, repeated."""
 STEPS = 8
 """Gauss-Newton steps of a patch."""
 COARSEST = 20
@@ -24,34 +29,42 @@ FINEST = 1
 """Halvings after which pictures are not searched finer: motion is interpolated from there."""
 
 
-def estimate_motion(after: np.ndarray, before: np.ndarray) -> np.ndarray:
+def estimate_motion(after: np.ndarray, before: np.ndarray, finest: int = FINEST) -> np.ndarray:
     """Motion (h, w, 2) of the later picture: previous place minus this one, in pixels; x right, y down.
 
     after, before: (h, w) float32, of a range like that of a display, without NaN. Smaller ones than 16 pixels stand
-    still.
+    still. finest: halvings of the pictures that are searched last.
     """
     if min(after.shape) < 2 * PATCH:
         return np.zeros((*after.shape, 2), np.float32)
     levels = [(after, before)]
     while min(levels[-1][0].shape) >= 2 * COARSEST:
         levels.append((halve(levels[-1][0]), halve(levels[-1][1])))
-    levels = levels[min(FINEST, len(levels) - 1):]
+    levels = levels[min(finest, len(levels) - 1):]
     flow = np.zeros((*levels[-1][0].shape, 2), np.float32)
     for one, other in reversed(levels):
-        flow = enlarge_motion(flow, *one.shape)
-        rows, columns = (max(side - PATCH, 0) // STRIDE + 1 for side in one.shape)
-        moved = np.zeros((rows, columns, 3), np.float32)
-        search(one, other, flow, moved)
-        flow = np.empty_like(flow)
-        spread(one, other, moved, flow)
+        h, w = one.shape
+        padded, searched = np.pad(one, MARGIN, "edge"), np.pad(other, MARGIN, "edge")
+        moved = np.zeros((max(h - PATCH, 0) // STRIDE + 1, max(w - PATCH, 0) // STRIDE + 1, 3), np.float32)
+        search(padded.ravel(), searched.ravel(), h, w, flow, moved)
+        flow = np.empty((h, w, 2), np.float32)
+        spread(padded.ravel(), searched.ravel(), h, w, moved, flow)
     return enlarge_motion(flow, *after.shape)
 
 
 def halve(picture: np.ndarray) -> np.ndarray:
     """Means of 2x2 pixels; an odd last row or column is left out."""
-    h, w = (side // 2 for side in picture.shape)
-    means: np.ndarray = picture[:2 * h, :2 * w].reshape(h, 2, w, 2).mean((1, 3), dtype=np.float32)
+    means = np.empty([side // 2 for side in picture.shape], np.float32)
+    average_fours(picture, means)
     return means
+
+
+@vectorised
+def average_fours(picture: np.ndarray, means: np.ndarray) -> None:
+    for y in range(means.shape[0]):
+        upper, lower, row = picture[2 * y], picture[2 * y + 1], means[y]
+        for x in range(row.size):
+            row[x] = np.float32(0.25) * (upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1])
 
 
 def enlarge_motion(flow: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -63,23 +76,27 @@ def enlarge_motion(flow: np.ndarray, height: int, width: int) -> np.ndarray:
     return larger
 
 
+@inline
+def enlarged_at(flow: np.ndarray, height: int, width: int, y: int, x: int) -> tuple[Real, Real]:
+    """Motion at a pixel of a larger picture, in its pixels: linear interpolation between centres."""
+    h, w = flow.shape[:2]
+    v = min(max(np.float32((y + 0.5) * h / height - 0.5), np.float32(0)), np.float32(h - 1))
+    u = min(max(np.float32((x + 0.5) * w / width - 0.5), np.float32(0)), np.float32(w - 1))
+    j, i = min(int(v), max(h - 2, 0)), min(int(u), max(w - 2, 0))
+    low, right = min(j + 1, h - 1), min(i + 1, w - 1)
+    fy, fx = v - j, u - i
+    a, b = flow[j, i, 0] * (1 - fx) + flow[j, right, 0] * fx, flow[j, i, 1] * (1 - fx) + flow[j, right, 1] * fx
+    c, d = flow[low, i, 0] * (1 - fx) + flow[low, right, 0] * fx, flow[low, i, 1] * (1 - fx) + flow[low, right, 1] * fx
+    return (a * (1 - fy) + c * fy) * np.float32(width / w), (b * (1 - fy) + d * fy) * np.float32(height / h)
+
+
 @compiled
 def enlarge(flow: np.ndarray, larger: np.ndarray) -> None:
     """Linear interpolation between centres, in pixels of the larger picture."""
     height, width = larger.shape[:2]
-    h, w = flow.shape[:2]
     for y in range(height):
-        v = min(max(np.float32((y + 0.5) * h / height - 0.5), np.float32(0)), np.float32(h - 1))
         for x in range(width):
-            u = min(max(np.float32((x + 0.5) * w / width - 0.5), np.float32(0)), np.float32(w - 1))
-            j, i = min(int(v), max(h - 2, 0)), min(int(u), max(w - 2, 0))
-            low, right = min(j + 1, h - 1), min(i + 1, w - 1)
-            fy, fx = v - j, u - i
-            for c in range(2):
-                upper = flow[j, i, c] * (1 - fx) + flow[j, right, c] * fx
-                lower = flow[low, i, c] * (1 - fx) + flow[low, right, c] * fx
-                larger[y, x, c] = (upper * (1 - fy) + lower * fy) * (np.float32(width / w) if c == 0
-                                                                      else np.float32(height / h))
+            larger[y, x, 0], larger[y, x, 1] = enlarged_at(flow, height, width, y, x)
 
 
 @inline
@@ -93,22 +110,75 @@ def value_at(picture: np.ndarray, y: Real, x: Real) -> Real:
     return upper * (1 - fy) + (picture[j + 1, i] * (1 - fx) + picture[j + 1, i + 1] * fx) * fy
 
 
-@compiled
-def misfit(one: np.ndarray, other: np.ndarray, top: int, left: int, u: Real, v: Real) -> Real:
+@in_lanes(PATCH, results=2)
+def patch_difference(v: Any, one: Any, at: Any, other: Any, there: Any, stride: Any, across: Any, down: Any) -> Any:
+    """Sums of the difference of two patches, and of its square."""
+    rows = v.rows(other, there, stride, across, down, PATCH)
+    apart = [row - v.load(one, v.step(at, stride, j)) for j, row in enumerate(rows)]
+    return v.sum(apart).total(), v.sum([row * row for row in apart]).total()
+
+
+@in_lanes(PATCH, results=5)
+def patch_slopes(v: Any, one: Any, at: Any, stride: Any) -> Any:
+    """Sums of products of a patch's slopes, (right, right), (right, down) and (down, down), and of both slopes."""
+    right, down = slopes_of(v, one, at, stride)
+    return (v.sum([dx * dx for dx in right]).total(),
+            v.sum([dx * dy for dx, dy in zip(right, down, strict=True)]).total(),
+            v.sum([dy * dy for dy in down]).total(), v.sum(right).total(), v.sum(down).total())
+
+
+@in_lanes(PATCH, results=3)
+def patch_pull(v: Any, one: Any, at: Any, other: Any, there: Any, stride: Any, across: Any, down: Any) -> Any:
+    """Sums of the difference of two patches, and of its products with the first one's slopes."""
+    rows = v.rows(other, there, stride, across, down, PATCH)
+    apart = [row - v.load(one, v.step(at, stride, j)) for j, row in enumerate(rows)]
+    along, under = slopes_of(v, one, at, stride)
+    return (v.sum(apart).total(), v.sum([dx * d for dx, d in zip(along, apart, strict=True)]).total(),
+            v.sum([dy * d for dy, d in zip(under, apart, strict=True)]).total())
+
+
+def slopes_of(v: Any, one: Any, at: Any, stride: Any) -> tuple[list[Any], list[Any]]:
+    """Slopes of a patch's rows, to the right and down."""
+    rows = [v.step(at, stride, j) for j in range(-1, PATCH + 1)]
+    right = [(v.load(one, v.step(row, 1)) - v.load(one, v.step(row, -1))) * 0.5 for row in rows[1:-1]]
+    down = [(v.load(one, below) - v.load(one, above)) * 0.5 for above, below in zip(rows, rows[2:], strict=False)]
+    return right, down
+
+
+@in_lanes(STRIDE, results=STRIDE)
+def four_weights(v: Any, one: Any, at: Any, other: Any, there: Any, stride: Any, across: Any, down: Any) -> Any:
+    """Differences of four pixels of a row."""
+    (row,) = v.rows(other, there, stride, across, down, 1)
+    apart = (row - v.load(one, at)).magnitude()
+    return tuple(apart.number(k) for k in range(STRIDE))
+
+
+@inline
+def place_of(y: Real, x: Real, h: int, w: int) -> tuple[int, Real, Real]:
+    """Index of a place in a picture with margins, and the place's share of a pixel, across and down. Places that are
+    further out show the same, the edge."""
+    y = min(max(y, np.float32(-PATCH - 1)), np.float32(h))
+    x = min(max(x, np.float32(-PATCH - 1)), np.float32(w))
+    j, i = int(np.floor(y)), int(np.floor(x))
+    return (j + MARGIN) * (w + 2 * MARGIN) + i + MARGIN, np.float32(x - i), np.float32(y - j)
+
+
+@inline
+def misfit(one: np.ndarray, other: np.ndarray, h: int, w: int, top: int, left: int, u: Real, v: Real) -> Real:
     """Mean square of a patch's difference to where it would have been, without the mean difference."""
-    total, square = np.float32(0), np.float32(0)
-    for j in range(top, top + PATCH):
-        for i in range(left, left + PATCH):
-            difference = value_at(other, j + v, i + u) - one[j, i]
-            total += difference
-            square += difference * difference
+    there, across, down = place_of(np.float32(top + v), np.float32(left + u), h, w)
+    stride = w + 2 * MARGIN
+    total, square = patch_difference(one, (top + MARGIN) * stride + left + MARGIN, other, there, stride, across, down)
     count = np.float32(PATCH * PATCH)
     return square / count - (total / count) ** 2
 
 
 @compiled
-def search(one: np.ndarray, other: np.ndarray, flow: np.ndarray, moved: np.ndarray) -> None:
-    """Motion of each patch and its misfit (rows, columns, 3), from the coarser level's."""
+def search(one: np.ndarray, other: np.ndarray, h: int, w: int, flow: np.ndarray, moved: np.ndarray) -> None:
+    """Motion of each patch and its misfit (rows, columns, 3), from the coarser level's.
+
+    one, other: flat pictures of h x w pixels with margins.
+    """
     rows, columns = moved.shape[:2]
     half = PATCH // 2
     for turn in range(2):  # down and right, then up and left, so that motion spreads in both directions
@@ -116,48 +186,37 @@ def search(one: np.ndarray, other: np.ndarray, flow: np.ndarray, moved: np.ndarr
             at = k if turn == 0 else rows * columns - 1 - k
             row, column = at // columns, at % columns
             top, left = row * STRIDE, column * STRIDE
-            y, x = min(top + half, one.shape[0] - 1), min(left + half, one.shape[1] - 1)
             if turn == 0:
-                u, v = flow[y, x, 0], flow[y, x, 1]
-                best = misfit(one, other, top, left, u, v)
+                u, v = enlarged_at(flow, h, w, min(top + half, h - 1), min(left + half, w - 1))
+                best = misfit(one, other, h, w, top, left, u, v)
             else:
                 u, v, best = moved[row, column, 0], moved[row, column, 1], moved[row, column, 2]
             step, began = (-1 if turn == 0 else 1), best
             for b, a in ((row + step, column), (row, column + step)):
                 if 0 <= b < rows and 0 <= a < columns:
-                    fit = misfit(one, other, top, left, moved[b, a, 0], moved[b, a, 1])
+                    fit = misfit(one, other, h, w, top, left, moved[b, a, 0], moved[b, a, 1])
                     if fit < best:
                         u, v, best = moved[b, a, 0], moved[b, a, 1], fit
             if turn == 0 or best < began:
-                u, v, best = descend(one, other, top, left, u, v, best)
+                u, v, best = descend(one, other, h, w, top, left, u, v, best)
             moved[row, column, 0], moved[row, column, 1], moved[row, column, 2] = u, v, best
 
 
 @compiled
-def descend(one: np.ndarray, other: np.ndarray, top: int, left: int, u: Real, v: Real, best: Real
+def descend(one: np.ndarray, other: np.ndarray, h: int, w: int, top: int, left: int, u: Real, v: Real, best: Real
             ) -> tuple[Real, Real, Real]:
     """Gauss-Newton steps from a motion to one that fits better (inverse compositional; Baker and Matthews 2004)."""
-    h, w = one.shape
-    xx, xy, yy, sx, sy = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-    for j in range(top, top + PATCH):
-        for i in range(left, left + PATCH):
-            dx = np.float32(0.5) * (one[j, min(i + 1, w - 1)] - one[j, max(i - 1, 0)])
-            dy = np.float32(0.5) * (one[min(j + 1, h - 1), i] - one[max(j - 1, 0), i])
-            xx, xy, yy, sx, sy = xx + dx * dx, xy + dx * dy, yy + dy * dy, sx + dx, sy + dy
-    count = np.float32(PATCH * PATCH)
+    stride = w + 2 * MARGIN
+    at, count = (top + MARGIN) * stride + left + MARGIN, np.float32(PATCH * PATCH)
+    xx, xy, yy, sx, sy = patch_slopes(one, at, stride)
     xx, xy, yy = xx - sx * sx / count, xy - sx * sy / count, yy - sy * sy / count
     damped = np.float32(1e-4) * count
     xx, yy = xx + damped, yy + damped
     area = xx * yy - xy * xy
     p, q = u, v
     for _ in range(STEPS):
-        total, gx, gy = np.float32(0), np.float32(0), np.float32(0)
-        for j in range(top, top + PATCH):
-            for i in range(left, left + PATCH):
-                dx = np.float32(0.5) * (one[j, min(i + 1, w - 1)] - one[j, max(i - 1, 0)])
-                dy = np.float32(0.5) * (one[min(j + 1, h - 1), i] - one[max(j - 1, 0), i])
-                difference = value_at(other, j + q, i + p) - one[j, i]
-                total, gx, gy = total + difference, gx + dx * difference, gy + dy * difference
+        there, across, down = place_of(np.float32(top + q), np.float32(left + p), h, w)
+        total, gx, gy = patch_pull(one, at, other, there, stride, across, down)
         gx, gy = gx - total * sx / count, gy - total * sy / count
         du, dv = (yy * gx - xy * gy) / area, (xx * gy - xy * gx) / area
         p, q = p - du, q - dv
@@ -165,47 +224,58 @@ def descend(one: np.ndarray, other: np.ndarray, top: int, left: int, u: Real, v:
             break
         if abs(du) + abs(dv) < np.float32(0.01):
             break
-    fit = misfit(one, other, top, left, p, q) if abs(p - u) <= PATCH and abs(q - v) <= PATCH else best
+    fit = misfit(one, other, h, w, top, left, p, q) if abs(p - u) <= PATCH and abs(q - v) <= PATCH else best
     return (p, q, fit) if fit < best else (u, v, best)
 
 
 @compiled
-def spread(one: np.ndarray, other: np.ndarray, moved: np.ndarray, flow: np.ndarray) -> None:
+def spread(one: np.ndarray, other: np.ndarray, h: int, w: int, moved: np.ndarray, flow: np.ndarray) -> None:
     """Motion of each pixel: the mean of the patches over it, by how well they fit there."""
-    h, w = one.shape
     rows, columns = moved.shape[:2]
-    least = np.float32(2e-3)
+    least, zero, stride, reach = np.float32(2e-3), np.float32(0), w + 2 * MARGIN, PATCH // STRIDE - 1
     for y in range(h):
         last_row = min(y // STRIDE, rows - 1)
-        first_row = max(last_row - (PATCH // STRIDE - 1), 0)
-        for x in range(w):
+        for x in range(0, w, STRIDE):
             last_column = min(x // STRIDE, columns - 1)
-            total, u, v = np.float32(0), np.float32(0), np.float32(0)
-            for row in range(first_row, last_row + 1):
-                for column in range(max(last_column - (PATCH // STRIDE - 1), 0), last_column + 1):
+            t0, t1, t2, t3 = zero, zero, zero, zero
+            u0, u1, u2, u3 = zero, zero, zero, zero
+            v0, v1, v2, v3 = zero, zero, zero, zero
+            for row in range(max(last_row - reach, 0), last_row + 1):
+                for column in range(max(last_column - reach, 0), last_column + 1):
                     p, q = moved[row, column, 0], moved[row, column, 1]
-                    weight = 1 / (least + abs(value_at(other, y + q, x + p) - one[y, x]))
-                    total, u, v = total + weight, u + weight * p, v + weight * q
-            flow[y, x, 0], flow[y, x, 1] = u / total, v / total
+                    there, across, down = place_of(np.float32(y + q), np.float32(x + p), h, w)
+                    d0, d1, d2, d3 = four_weights(one, (y + MARGIN) * stride + x + MARGIN, other, there, stride, across,
+                                                  down)
+                    d0, d1, d2, d3 = 1 / (least + d0), 1 / (least + d1), 1 / (least + d2), 1 / (least + d3)
+                    t0, t1, t2, t3 = t0 + d0, t1 + d1, t2 + d2, t3 + d3
+                    u0, u1, u2, u3 = u0 + d0 * p, u1 + d1 * p, u2 + d2 * p, u3 + d3 * p
+                    v0, v1, v2, v3 = v0 + d0 * q, v1 + d1 * q, v2 + d2 * q, v3 + d3 * q
+            us, vs = (u0 / t0, u1 / t1, u2 / t2, u3 / t3), (v0 / t0, v1 / t1, v2 / t2, v3 / t3)
+            for k in range(min(STRIDE, w - x)):
+                flow[y, x + k, 0], flow[y, x + k, 1] = us[k], vs[k]
 
 
-def consistent_motion(ahead: np.ndarray, back: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Motion of two pictures to each other, NaN where the way there and back does not end where it began."""
-    found = ahead.copy(), back.copy()
+def consistent_motion(ahead: np.ndarray, back: np.ndarray, scale: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Motion of two pictures to each other, NaN where the way there and back does not end where it began.
+
+    scale: pixels of a picture `scale` times as large are what counts, and what the result is in.
+    """
+    found = np.empty_like(ahead), np.empty_like(back)
     for one, other, kept in ((ahead, back, found[0]), (back, ahead, found[1])):
-        drop_inconsistent(one, other, kept)
+        keep_consistent(one, other, np.float32(scale), kept)
     return found
 
 
 @compiled
-def drop_inconsistent(one: np.ndarray, other: np.ndarray, kept: np.ndarray) -> None:
+def keep_consistent(one: np.ndarray, other: np.ndarray, scale: Real, kept: np.ndarray) -> None:
     """NaN where a motion leads out of the picture, or to where the other one does not lead back."""
     h, w = one.shape[:2]
+    most = AGREE / scale
     for y in range(h):
         for x in range(w):
+            kept[y, x, 0], kept[y, x, 1] = np.nan, np.nan
             u, v = x + one[y, x, 0], y + one[y, x, 1]
             if -0.5 < u < w - 0.5 and -0.5 < v < h - 0.5:
                 back_u, back_v = value_at(other[:, :, 0], v, u), value_at(other[:, :, 1], v, u)
-                if abs(back_u + one[y, x, 0]) <= AGREE and abs(back_v + one[y, x, 1]) <= AGREE:
-                    continue
-            kept[y, x, 0], kept[y, x, 1] = np.nan, np.nan
+                if abs(back_u + one[y, x, 0]) <= most and abs(back_v + one[y, x, 1]) <= most:
+                    kept[y, x, 0], kept[y, x, 1] = scale * one[y, x, 0], scale * one[y, x, 1]

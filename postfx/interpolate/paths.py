@@ -1,4 +1,5 @@
-"""Where the points of two frames are at a time between them.
+"""Where the points of two frames are at a time between them. Pixels are those of the plane of motion here, which may be
+coarser than the picture.
 
 A path is a curve from a point's place in the frame before (time 0) to that in the frame after (time 1). Every pixel of
 both frames has one: of the frame after by its motion, of the frame before by that motion turned round, or, where the
@@ -14,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postfx.kernels.numeric import Real, compiled, inline
+from postfx.frame import DEPTH_MISS
+from postfx.kernels.numeric import Real, add_eight, compiled, inline, load_eight, store_eight
 from postfx.temporal.reverse_motion import LOST
 
 FAR = np.float32(1e30)
@@ -68,15 +70,53 @@ def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, de
 
 
 def splat_paths(paths: Paths, t: float) -> tuple[np.ndarray, np.ndarray]:
-    """What arrives at each pixel at time t: the nearest surface's mean path (h, w, 6), as `close_cracks` leaves it, and
-    its depth (h, w), FAR where nothing arrives."""
+    """What arrives at each pixel at time t: the nearest surface's mean path (h, w, 8), as `close_cracks` leaves it,
+    NaN where there is none, and its depth (h, w), FAR where nothing arrives."""
     h, w = paths.seen.shape
-    nearest, found = np.full((h, w), FAR, np.float32), np.zeros((h, w, 6), np.float32)
+    nearest, found = np.full((h, w), FAR, np.float32), np.zeros((h, w, 8), np.float32)
     depth = np.empty((h, w), np.float32)
     splat_nearest(paths.ends, paths.bend, paths.depth, t, nearest)
-    splat_means(paths.ends, paths.bend, paths.depth, paths.seen, t, nearest, found)
+    splat_means(paths.ends, paths.bend, paths.depth, paths.seen, t, nearest, found.reshape(-1))
     close_cracks(nearest, found, depth)
     return found, depth
+
+
+@compiled
+def gather_cells(motion: np.ndarray, depth: np.ndarray, scale: int, most: Real, cell_motion: np.ndarray,
+                 cell_depth: np.ndarray) -> None:
+    """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of cells of scale x scale pixels: those of the
+    nearest pixel. Either plane may be empty. Motion beyond `most` pixels, out of any picture, becomes NaN; depth lies
+    between 0 and a miss."""
+    h, w = max(motion.shape[0], depth.shape[0]), max(motion.shape[1], depth.shape[1])
+    size = np.float32(1 / scale)
+    for row in range(cell_depth.shape[0]):
+        for column in range(cell_depth.shape[1]):
+            y, x, nearest = row * scale, column * scale, np.float32(DEPTH_MISS)
+            if depth.size:
+                for j in range(row * scale, min((row + 1) * scale, h)):
+                    for i in range(column * scale, min((column + 1) * scale, w)):
+                        if depth[j, i, 0] < nearest:
+                            y, x, nearest = j, i, depth[j, i, 0]
+                nearest = max(nearest, np.float32(1e-6))
+            cell_depth[row, column, 0] = nearest
+            if motion.size:
+                u, v = motion[y, x, 0], motion[y, x, 1]
+                is_motion = abs(u) <= most and abs(v) <= most
+                cell_motion[row, column, 0] = u * size if is_motion else np.float32(np.nan)
+                cell_motion[row, column, 1] = v * size if is_motion else np.float32(np.nan)
+
+
+@compiled
+def rank_paths(one: np.ndarray, other: np.ndarray, motion: np.ndarray, rank: np.ndarray) -> None:
+    """What stands for depth where there is none (rows, columns, 1): 1 plus the difference of a grey picture to another
+    one where its motion leads, or 2. A path that fits both pictures is in front of one that does not."""
+    h, w = one.shape
+    half = np.float32(0.5)
+    for y in range(h):
+        for x in range(w):
+            u, v = x + half + motion[y, x, 0], y + half + motion[y, x, 1]
+            inside = 0 <= u < w and 0 <= v < h
+            rank[y, x, 0] = 1 + (abs(one[y, x] - other[int(v), int(u)]) if inside else np.float32(1))
 
 
 @inline
@@ -158,28 +198,27 @@ def splat_nearest(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, t: floa
 @compiled
 def splat_means(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, seen: np.ndarray, t: float,
                 nearest: np.ndarray, found: np.ndarray) -> None:
-    """Sums (h, w, 6) of the nearest surface's paths around each pixel: to both frames, seen, weight."""
+    """Sums of the nearest surface's paths around each pixel: to both frames, seen, weight, and twice nothing. found:
+    flat."""
     h, w = nearest.shape
-    one, at, s = np.float32(1), np.float32(t), np.float32(t * (t - 1))
+    zero, one, at, s = np.float32(0), np.float32(1), np.float32(t), np.float32(t * (t - 1))
     for y in range(h):
         for x in range(w):
             dx = ends[y, x, 0] + at * (ends[y, x, 2] - ends[y, x, 0]) + s * bend[y, x, 0]
             dy = ends[y, x, 1] + at * (ends[y, x, 3] - ends[y, x, 1]) + s * bend[y, x, 1]
             u, v = x + dx, y + dy
-            if not (-one < u < w and -one < v < h):
+            if not ((u > -one) & (v > -one) & (u < np.float32(w)) & (v < np.float32(h))):
                 continue
             i, j = int(np.floor(u)), int(np.floor(v))
             z = depth[y, x, 0]
+            path = (ends[y, x, 0] - dx, ends[y, x, 1] - dy, ends[y, x, 2] - dx, ends[y, x, 3] - dy, seen[y, x], one,
+                    zero, zero)
             for b in range(max(j, 0), min(j + 2, h)):
                 for a in range(max(i, 0), min(i + 2, w)):
-                    weight = (one - abs(u - a)) * (one - abs(v - b))
-                    if weight > 0 and abs(z - nearest[b, a]) <= ALIKE * nearest[b, a]:
-                        found[b, a, 0] += weight * (ends[y, x, 0] - dx)
-                        found[b, a, 1] += weight * (ends[y, x, 1] - dy)
-                        found[b, a, 2] += weight * (ends[y, x, 2] - dx)
-                        found[b, a, 3] += weight * (ends[y, x, 3] - dy)
-                        found[b, a, 4] += weight * seen[y, x]
-                        found[b, a, 5] += weight
+                    weight = (one - abs(u - np.float32(a))) * (one - abs(v - np.float32(b)))
+                    if (weight > 0) & (abs(z - nearest[b, a]) <= ALIKE * nearest[b, a]):
+                        place = 8 * (b * w + a)
+                        store_eight(found, place, add_eight(load_eight(found, place), path, weight))
 
 
 @compiled
@@ -206,3 +245,5 @@ def close_cracks(nearest: np.ndarray, found: np.ndarray, depth: np.ndarray) -> N
                     for c in range(5):
                         found[y, x, c] = np.float32(0.5) * (found[y - j, x - i, c] + found[y + j, x + i, c])
                     depth[y, x] = np.float32(0.5) * (one + other)
+            if best == FAR:
+                found[y, x, 0] = np.nan

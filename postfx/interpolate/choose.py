@@ -1,0 +1,313 @@
+"""Which path shows what is at a cell between two frames.
+
+Cells are squares of pixels. `choose_paths` compares what a path shows in both frames, over 8x6 pixels of toned grey
+pictures around a cell. A cell keeps the path that arrived at it unless a neighbour's, or the flow's,
+agrees much better: edges of planes are coarse, averaged over samples or noisy. A path that only one frame shows cannot
+be compared; it counts as a fair match, for it is there by geometry.
+
+Fields of paths are (rows, columns, 6) float32: in pixels of the pictures from the cell to its place in the frame before
+(x, y) and in the one after (x, y), and whether each of the two shows the point, 0 or 1. NaN: no path.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from postfx.interpolate.paths import ALIKE, FAR
+from postfx.kernels.lanes import in_lanes
+from postfx.kernels.numeric import Real, compiled, inline, vectorised
+
+Path: TypeAlias = tuple[Real, Real, Real, Real, Real, Real]
+"""A path of a field."""
+MARGIN = 8
+"""Pixels around a picture whose paths are compared: its edges, repeated."""
+ROWS = 6
+"""Rows of eight pixels that are compared."""
+OTHER = np.float32(0.3)
+"""Pixels by which paths must differ to be worth a comparison."""
+BETTER = np.float32(1.5)
+"""How many times as well another path must fit to be taken."""
+UNSEEN, UNSEEN_NOISE = np.float32(0.12), np.float32(2)
+"""What stands for the misfit of a path that cannot be compared: a part that is fixed, and a multiple of the noise's."""
+TRUSTED = np.float32(0.5)
+"""Share of that misfit below which a path that was thought unseen is seen after all."""
+SURE = np.float32(0.7)
+"""Share of the paths that arrive at a cell that must be seen by the other frame: a sample of it has cells around."""
+ZERO, ONE = np.float32(0), np.float32(1)
+STEPS = np.array([(0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)])
+"""Neighbours whose paths are tried."""
+TAPER = (0.25, 0.75, 1.0, 1.0, 1.0, 1.0, 0.75, 0.25)
+"""Weights of the eight pixels of a row."""
+COUNT = np.float32(ROWS * sum(TAPER))
+
+
+@vectorised
+def tone_numbers(numbers: np.ndarray, level: Real, toned: np.ndarray) -> None:
+    for i in range(numbers.size):
+        bright = max(numbers[i], ZERO)
+        toned[i] = np.sqrt(bright / (bright + level))
+
+
+@vectorised
+def mean_of_threes(numbers: np.ndarray, means: np.ndarray) -> None:
+    for x in range(means.size):
+        means[x] = (numbers[3 * x] + numbers[3 * x + 1] + numbers[3 * x + 2]) * np.float32(1 / 3)
+
+
+@compiled
+def tone_rows(y0: int, y1: int, picture: np.ndarray, level: Real, toned: np.ndarray) -> None:
+    """Grey (h + 2 MARGIN, w + 2 MARGIN) of the range 0 to 1, in which differences are about as visible in the dark as
+    in the light. Rows above and below the picture are left as they are."""
+    h, w = picture.shape[:2]
+    numbers, flat = np.empty(3 * w, np.float32), picture.reshape(h, 3 * w)
+    for y in range(y0, y1):
+        row = toned[y + MARGIN]
+        tone_numbers(flat[y], level, numbers)
+        mean_of_threes(numbers, row[MARGIN:MARGIN + w])
+        for beside in range(MARGIN):
+            row[beside], row[w + MARGIN + beside] = row[MARGIN], row[w + MARGIN - 1]
+
+
+@inline
+def side_path(side: np.ndarray, is_last: int, scale: Real, y: int, x: int) -> Path:
+    """A path of one frame's side, in pixels: that frame shows it, the other one if most paths that arrived are seen."""
+    seen = np.float32(side[y, x, 4] >= SURE)
+    return (scale * side[y, x, 0], scale * side[y, x, 1], scale * side[y, x, 2], scale * side[y, x, 3],
+            seen if is_last else ONE, ONE if is_last else seen)
+
+
+@compiled
+def merge_sides(first: np.ndarray, first_depth: np.ndarray, last: np.ndarray, last_depth: np.ndarray, scale: Real,
+                own: np.ndarray) -> None:
+    """The nearer path of both sides at each cell, or their mean where they are alike; NaN without.
+
+    first, last: (rows, columns, 8) in cells, as `paths.close_cracks` leaves them; depths: (rows, columns), FAR where no
+    path arrived. scale: pixels of a cell.
+    """
+    h, w = first_depth.shape
+    half = np.float32(0.5)
+    for y in range(h):
+        for x in range(w):
+            a, b = first_depth[y, x], last_depth[y, x]
+            one, other = side_path(first, 0, scale, y, x), side_path(last, 1, scale, y, x)
+            if a < FAR and b < FAR and abs(a - b) <= np.float32(1.5) * ALIKE * min(a, b):
+                # each side is sure of its own frame, and asked about the other one
+                before, after = (other[4], one[5]) if other[4] + one[5] > 0 else (ONE, ONE)
+                one = (half * (one[0] + other[0]), half * (one[1] + other[1]), half * (one[2] + other[2]),
+                       half * (one[3] + other[3]), before, after)
+            elif not a < b:
+                one = other
+            for c in range(6):
+                own[y, x, c] = one[c]
+
+
+@compiled
+def fill_holes(field: np.ndarray, depth: np.ndarray) -> None:
+    """Give cells without a path that of the farthest of the next ones to the left, to the right, above and below: what
+    is uncovered is background. Without any, the cell stands still."""
+    h, w = depth.shape
+    holes = 0
+    for y in range(h):
+        for x in range(w):
+            holes += field[y, x, 0] != field[y, x, 0]
+    place, source = np.empty((holes, 2), np.int64), np.full((holes, 2), -1)
+    for turn in range(4):  # down, up; each row to the right, to the left
+        above, k = np.full(w, -1), 0 if turn % 2 == 0 else holes
+        for line in range(h):
+            y, beside = line if turn % 2 == 0 else h - 1 - line, -1
+            for column in range(w):
+                x = column if turn % 2 == 0 else w - 1 - column
+                if field[y, x, 0] == field[y, x, 0]:
+                    above[x], beside = y, x
+                    continue
+                k -= turn % 2
+                j, i = (above[x], x) if turn < 2 else (y, beside)
+                is_known = j >= 0 and i >= 0
+                if is_known and (source[k, 0] < 0 or depth[j, i] > depth[source[k, 0], source[k, 1]]):
+                    source[k, 0], source[k, 1] = j, i
+                place[k, 0], place[k, 1] = y, x
+                k += 1 - turn % 2
+    for k in range(holes):
+        y, x = place[k, 0], place[k, 1]
+        if source[k, 0] < 0:
+            field[y, x, :4], field[y, x, 4:] = ZERO, ONE
+        else:
+            field[y, x] = field[source[k, 0], source[k, 1]]
+
+
+@inline
+def is_within(known: np.ndarray, y: Real, x: Real) -> bool:
+    """Whether a place is in the picture, at a pixel that is known."""
+    h, w, half = known.shape[0], known.shape[1], np.float32(0.5)
+    if not ((x > -half) & (y > -half) & (x < np.float32(w) - half) & (y < np.float32(h) - half)):
+        return False
+    return bool(known[min(np.uint32(y + half), np.uint32(h - 1)), min(np.uint32(x + half), np.uint32(w - 1))])
+
+
+@in_lanes(8)
+def window_difference(v: Any, before: Any, at: Any, across: Any, down: Any, after: Any, there: Any, across_after: Any,
+                      down_after: Any, stride: Any) -> Any:
+    """Weighted sum of the differences of two windows."""
+    one = v.rows(before, at, stride, across, down, ROWS)
+    other = v.rows(after, there, stride, across_after, down_after, ROWS)
+    return (v.sum([(a - b).magnitude() for a, b in zip(one, other, strict=True)]) * TAPER).total()
+
+
+@in_lanes(8, results=2)
+def window_detail(v: Any, before: Any, at: Any, across: Any, down: Any, after: Any, there: Any, across_after: Any,
+                  down_after: Any, stride: Any) -> Any:
+    """Sums of squares of the slopes, across and down: of the difference of two windows, and of their sum."""
+    one, right = (v.rows(before, v.step(at, k), stride, across, down, ROWS) for k in (0, 1))
+    other, beside = (v.rows(after, v.step(there, k), stride, across_after, down_after, ROWS) for k in (0, 1))
+    found = []
+    for sign in (-1.0, 1.0):
+        rows, next_rows = ([a + b * sign for a, b in zip(some, others, strict=True)]
+                           for some, others in ((one, other), (right, beside)))
+        slopes = [b - a for a, b in (*zip(rows, rows[1:], strict=False), *zip(rows, next_rows, strict=True))]
+        found.append((v.sum([slope * slope for slope in slopes]) * TAPER).total())
+    return tuple(found)
+
+
+@inline
+def window_at(y: Real, x: Real, stride: int) -> tuple[int, Real, Real]:
+    """Index of the window around a place, and the window's share of a pixel, across and down."""
+    v, u = y - np.float32(0.5 * (ROWS - 1)), x - np.float32(3.5)
+    j, i = int(np.floor(v)), int(np.floor(u))
+    return (j + MARGIN) * stride + i + MARGIN, np.float32(u - i), np.float32(v - j)
+
+
+@inline
+def misfit(before: np.ndarray, after: np.ndarray, known_before: np.ndarray, known_after: np.ndarray, y: Real, x: Real,
+           path: Path) -> Real:
+    """Mean difference of two toned pictures around the places that a path leads to; -1 where one is not in its picture.
+
+    before, after: flat, with margins.
+    """
+    ay, ax, by, bx = y + path[1], x + path[0], y + path[3], x + path[2]
+    if not (is_within(known_before, ay, ax) and is_within(known_after, by, bx)):
+        return -ONE
+    stride = known_before.shape[1] + 2 * MARGIN
+    at, across, down = window_at(ay, ax, stride)
+    there, across_after, down_after = window_at(by, bx, stride)
+    return window_difference(before, at, across, down, after, there, across_after, down_after, stride) / COUNT
+
+
+@inline
+def sharpness(before: np.ndarray, after: np.ndarray, known: np.ndarray, y: Real, x: Real, path: Path) -> Real:
+    """Share of what two pictures show around the places of a path that both show, 0 to 1: the rest is noise (Wiener).
+
+    Where a path leads out of a picture, or only one shows it, nothing is known, and it is 1.
+    """
+    ay, ax, by, bx = y + path[1], x + path[0], y + path[3], x + path[2]
+    if path[4] + path[5] < 2 or not (is_within(known, ay, ax) and is_within(known, by, bx)):
+        return ONE
+    stride = known.shape[1] + 2 * MARGIN
+    at, across, down = window_at(ay, ax, stride)
+    there, across_after, down_after = window_at(by, bx, stride)
+    apart, common = window_detail(before, at, across, down, after, there, across_after, down_after, stride)
+    return max(ONE - apart / common, ZERO) if common > 0 else ONE
+
+
+@inline
+def path_of(field: np.ndarray, y: int, x: int) -> Path:
+    """A cell's path in numbers: a view of the array would cost more than all else."""
+    return field[y, x, 0], field[y, x, 1], field[y, x, 2], field[y, x, 3], field[y, x, 4], field[y, x, 5]
+
+
+@inline
+def path_by(flow: np.ndarray, y: int, x: int, back: Real, on: Real) -> Path:
+    """The path of a flow, by shares of it that lead to the frame before and to the one after."""
+    u, v = flow[y, x, 0], flow[y, x, 1]
+    return back * u, back * v, on * u, on * v, ONE, ONE
+
+
+@inline
+def differ(one: Path, other: Path) -> bool:
+    """Whether two paths lead to other places."""
+    return bool(abs(one[0] - other[0]) > OTHER or abs(one[1] - other[1]) > OTHER or abs(one[2] - other[2]) > OTHER
+                or abs(one[3] - other[3]) > OTHER)
+
+
+@compiled
+def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
+                 known_after: np.ndarray, own: np.ndarray, first: np.ndarray, last: np.ndarray, ahead: np.ndarray,
+                 back: np.ndarray, t: Real, scale: int, noise: Real, cells: np.ndarray) -> None:
+    """The path of each cell (rows, columns, 8): its own, or another one around it or of the flow that fits much better;
+    the last two numbers are left.
+
+    before, after: toned, flat, with margins. known: (h, w), False under overlays. own: (rows, columns, 6).
+    first, last: both sides, whose paths around a cell are tried. ahead, back: (rows, columns, 2) flow of both frames to
+    the other one, in pixels, or empty. scale: pixels of a cell. noise: misfit of paths that are right.
+    """
+    h, w = own.shape[:2]
+    unseen = UNSEEN + UNSEEN_NOISE * noise
+    steps, middle, time = STEPS.shape[0], np.float32(0.5 * (scale - 1)), np.float32(t)
+    around, size = 2 * steps, np.float32(scale)
+    count = around + 2 if ahead.size else around
+    for y in range(y0, y1):
+        for x in range(w):
+            mine, v, u = path_of(own, y, x), scale * y + middle, scale * x + middle
+            taken, tried, is_seen = mine, mine, False
+            best = np.float32(-2)  # not looked at yet: many cells have no other path around them
+            for k in range(count):
+                if k < around:
+                    j, i = y + STEPS[k % steps, 0], x + STEPS[k % steps, 1]
+                    if not (0 <= j < h and 0 <= i < w):
+                        continue
+                    path = side_path(first if k < steps else last, k // steps, size, j, i)
+                elif k == around:
+                    path = path_by(ahead, y, x, -time, ONE - time)
+                else:
+                    path = path_by(back, y, x, time, time - ONE)
+                if path[0] != path[0] or not (differ(path, taken) and differ(path, tried)):
+                    continue
+                tried = path
+                if best < -ONE:
+                    best = misfit(before, after, known_before, known_after, v, u, mine)
+                    is_seen = 0 <= best < TRUSTED * unseen
+                    if not is_seen and (best < 0 or mine[4] + mine[5] < 2):
+                        best = unseen
+                if best <= noise:
+                    break
+                fit = misfit(before, after, known_before, known_after, v, u, path)
+                fits = 0 <= fit < TRUSTED * unseen
+                if not fits and (fit < 0 or path[4] + path[5] < 2):
+                    fit = unseen
+                if BETTER * fit + noise < best:
+                    best, taken, is_seen = fit, path, fits
+            if is_seen:
+                taken = taken[0], taken[1], taken[2], taken[3], ONE, ONE
+            for c in range(6):
+                cells[y, x, c] = taken[c]
+
+
+@compiled
+def measure_detail(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known: np.ndarray, scale: int,
+                   cells: np.ndarray) -> None:
+    """How sharp the pictures are at cells, each measured once for two by two that follow one path. y0 is even."""
+    rows, columns = cells.shape[:2]
+    middle = np.float32(0.5 * (scale - 1))
+    for y in range(y0, y1):
+        for x in range(columns):
+            path, j, i = path_of(cells, y, x), y - y % 2, x - x % 2
+            if (j, i) != (y, x):
+                one = path_of(cells, j, i)
+                if not differ(path, one) and path[4] + path[5] == one[4] + one[5]:
+                    cells[y, x, 6] = cells[j, i, 6]
+                    continue
+            cells[y, x, 6] = sharpness(before, after, known, scale * y + middle, scale * x + middle, path)
+
+
+@compiled
+def misfits(before: np.ndarray, after: np.ndarray, known_before: np.ndarray, known_after: np.ndarray, ends: np.ndarray,
+            seen: np.ndarray, scale: int, found: np.ndarray) -> None:
+    """Misfit of one of 4x4 cells of the frame after that the frame before shows too; -1 elsewhere."""
+    middle, size = np.float32(0.5 * (scale - 1)), np.float32(scale)
+    for row in range(found.shape[0]):
+        for column in range(found.shape[1]):
+            y, x = 4 * row + 2, 4 * column + 2
+            path = size * ends[y, x, 0], size * ends[y, x, 1], size * ends[y, x, 2], size * ends[y, x, 3], ONE, ONE
+            fit = misfit(before, after, known_before, known_after, size * y + middle, size * x + middle, path)
+            found[row, column] = fit if seen[y, x] else -ONE

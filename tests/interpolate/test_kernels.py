@@ -1,0 +1,99 @@
+"""Kernels of frames between frames: against their formulas in NumPy, and that none reads or writes out of bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postfx import Between
+from postfx.frame import Frame, Role
+from postfx.interpolate import blend, choose, flow
+from postfx.kernels.image import catmull_rom
+from postfx.kernels.numeric import compiled
+
+
+def bilinear(picture: np.ndarray, y: float, x: float, rows: int, columns: int) -> np.ndarray:
+    """A window of a picture from a place on."""
+    j, i = int(np.floor(y)), int(np.floor(x))
+    v, u = y - j, x - i
+    part = picture[j:j + rows + 1, i:i + columns + 1]
+    lines = part[:, :-1] * (1 - u) + part[:, 1:] * u
+    return lines[:-1] * (1 - v) + lines[1:] * v
+
+
+def test_windows_are_compared_as_in_their_formula():
+    rng = np.random.default_rng(1)
+    before, after = rng.random((2, 40, 50), np.float32)
+    known, margin = np.ones((24, 34), np.bool_), choose.MARGIN
+    path = tuple(np.float32(one) for one in (1.3, -2.2, -0.6, 3.1, 1, 1))
+
+    @compiled
+    def run(one, other, known, path):
+        y, x = np.float32(11), np.float32(15.5)
+        return choose.misfit(one, other, known, known, y, x, path), choose.sharpness(one, other, known, y, x, path)
+
+    found = run(before.ravel(), after.ravel(), known, path)
+    first, last = (bilinear(picture, 11 + v - 2.5 + margin, 15.5 + u - 3.5 + margin, 6, 9).astype(float)
+                   for picture, u, v in ((before, 1.3, -2.2), (after, -0.6, 3.1)))
+    taper = np.array(choose.TAPER)
+    assert found[0] == pytest.approx((np.abs(first - last)[:, :8] * taper).sum() / choose.COUNT, rel=1e-4)
+    apart, common = ((taper * (np.diff(one[:, :8], axis=0)**2).sum(0)).sum() + (taper * np.diff(one, axis=1)**2).sum()
+                     for one in (first - last, first + last))
+    assert found[1] == pytest.approx(max(1 - apart / common, 0), abs=1e-4)
+
+
+def test_patches_of_the_flow_are_compared_as_in_their_formula():
+    one, other = np.random.default_rng(2).random((2, 40, 50), np.float32)
+    margin, size = flow.MARGIN, flow.PATCH
+
+    @compiled
+    def run(one, other):
+        return flow.misfit(one, other, 20, 30, 5, 7, np.float32(2.3), np.float32(-1.6))
+
+    patch = bilinear(other, 5 - 1.6 + margin, 7 + 2.3 + margin, size, size)
+    patch -= one[5 + margin:, 7 + margin:][:size, :size]
+    assert run(one.ravel(), other.ravel()) == pytest.approx(patch.var(), rel=1e-4)
+
+
+@pytest.mark.parametrize("sharp", [0, 0.4, 1])
+def test_pictures_are_sampled_by_cubics_within_the_range_of_four_pixels(sharp):
+    picture = np.random.default_rng(3).random((12, 14, 3), np.float32)
+    j, i, v, u = 5, 6, 0.3, 0.8
+
+    @compiled
+    def run(flat, sharp):
+        return blend.cubic_three(flat, ((j - 1) * 14 + i - 1) * 3, 14 * 3, np.float32(v), np.float32(u), sharp)
+
+    def taps(t):
+        spline = [(1 - t)**3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]
+        return sharp * np.array(catmull_rom.py_func(t)) + (1 - sharp) / 6 * np.array(spline)
+
+    near = picture[j:j + 2, i:i + 2]
+    wanted = np.einsum("jic,j,i->c", picture[j - 1:j + 3, i - 1:i + 3], taps(v), taps(u)).clip(near.min((0, 1)),
+                                                                                              near.max((0, 1)))
+    np.testing.assert_allclose(run(picture.ravel(), np.float32(sharp)), wanted, rtol=1e-5)
+
+
+def inside(plane: np.ndarray) -> np.ndarray:
+    """The plane in the middle of memory that holds NaN."""
+    around = np.full(plane.size + 4000, np.nan, np.float32)
+    held = around[2000:2000 + plane.size].reshape(plane.shape)
+    held[:] = plane
+    return held
+
+
+@pytest.mark.parametrize("size", [(64, 67), (65, 130), (71, 64), (33, 40), (5, 7)])
+@pytest.mark.parametrize("most", [0.7, 9, 300])
+def test_nothing_beside_a_picture_gets_into_it(size, most):
+    """Of any size, with motion to anywhere."""
+    rng = np.random.default_rng(4)
+
+    def make(number: int) -> Frame:
+        planes = {Role.COLOUR: rng.random((*size, 3)), Role.MOTION: rng.uniform(-most, most, (*size, 2)),
+                  Role.DEPTH: rng.uniform(1, 9, (*size, 1)), Role.ALPHA: rng.random((*size, 1))}
+        return Frame({role: inside(plane.astype(np.float32)) for role, plane in planes.items()}, number=number)
+
+    found = Between(make(1), make(2), make(3)).frame(0.3)
+    for role, highest in ((Role.COLOUR, 1), (Role.ALPHA, 1), (Role.DEPTH, 9)):
+        assert 0 <= found[role].min() and found[role].max() <= highest + 1e-5, role
+    assert np.isfinite(found[Role.MOTION]).all()
