@@ -100,11 +100,11 @@ def relation(before: Picture, now: Picture) -> float | None:
     Frames that have none are compared without motion, then shifted as a whole by what fits best.
     """
     still = np.zeros_like(now.light)
-    first = _compared(before, now, still if now.motion is None else now.motion)
+    first = _compare(before, now, still if now.motion is None else now.motion)
     if first is None or first >= RELATED:
         return first
     other = still + _shift(before, now) if now.motion is None else still
-    return max(first, _compared(before, now, other) or 0.0)
+    return max(first, _compare(before, now, other) or 0.0)
 
 
 def _on_grid(before: Picture, now: Picture) -> Picture:
@@ -174,7 +174,7 @@ def _box(planes: np.ndarray, width: int) -> np.ndarray:
     return means.reshape(planes.shape)
 
 
-def _compared(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
+def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
     """Correlation under one motion: the light's; where that is not related, the mean of the guides' if it is higher.
 
     None where no plane tells anything, 0 where the motion leads out of the frame before.

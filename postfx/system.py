@@ -167,7 +167,7 @@ class Scratch:
                 file.truncate(nbytes)
                 found = mmap.mmap(file.fileno(), nbytes)
         except OSError as error:
-            raise MemoryBudgetError(_refused(error, nbytes)) from error
+            raise MemoryBudgetError(_explain_refusal(error, nbytes)) from error
         self._maps.add(found)
         return found
 
@@ -185,7 +185,7 @@ class Scratch:
             self.relax()
 
 
-def _refused(error: OSError, nbytes: int) -> str:
+def _explain_refusal(error: OSError, nbytes: int) -> str:
     if error.errno in (errno.EMFILE, errno.ENFILE):
         return "too many open files, as every large plane that is kept is one: keep fewer frames, or raise 'ulimit -n'"
     return f"{tempfile.gettempdir()}: no room for {nbytes >> 20} MB: set TMPDIR to a larger disk"

@@ -270,14 +270,14 @@ def measure(task: Task) -> dict[str, Any] | None:
     device = Device(task.device, task.threads)
     sequence = Sequence(task.noisy, task.frames, task.profile, guides=task.guides).first_view()
     method = make(task.method, device, task.scale, task.size, sequence)
-    first = _timed(method, next(iter(sequence)))
+    first = _time(method, next(iter(sequence)))
     if _compiled_kernels() != kept:
         return None
     runs = []
     for index in range(task.runs):
         method.reset()
         rows = [_frame(task, method, frame, index == task.runs - 1) for frame in sequence]
-        runs.append(_evened(rows) if task.method.both or task.method.run_up else rows)
+        runs.append(_even_out(rows) if task.method.both or task.method.run_up else rows)
         _say(run=index + 1)
     columns = {key: [[row[key] for row in run] for run in runs] for key in ("wall_ms", "cpu_s", "device_ms")}
     return {**columns, "first_ms": first["wall_ms"], "peak_mb": peak_memory()}
@@ -311,7 +311,7 @@ def _compiled_kernels() -> set[str]:
 
 
 def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> dict[str, Any]:
-    row = _timed(method, frame)
+    row = _time(method, frame)
     result = row.pop("result")
     if write:
         path = task.output.replace("{number}", f"{frame.number:04d}")
@@ -319,12 +319,12 @@ def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> di
     return row
 
 
-def _evened(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _even_out(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Spread the time evenly over the frames: the first one of a part waits until others have run in reverse."""
     return [{key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}] * len(rows)
 
 
-def _timed(method: Network | Chain, frame: Frame) -> dict[str, Any]:
+def _time(method: Network | Chain, frame: Frame) -> dict[str, Any]:
     device, cpu, wall = method.device_ms, time.process_time(), time.perf_counter()
     result = method(frame)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu

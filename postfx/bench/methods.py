@@ -192,9 +192,9 @@ class Network:
         run_up, self._backwards = None, None
         if method.run_up or method.both:
             assert sequence is not None, "frames are run ahead"
-            run_up = RunUp(sequence, prepare=self._given) if method.run_up else None
+            run_up = RunUp(sequence, prepare=self._select_planes) if method.run_up else None
             if method.both:
-                self._backwards = Backwards(sequence, device, prepare=self._given, model=model, scale=scale)
+                self._backwards = Backwards(sequence, device, prepare=self._select_planes, model=model, scale=scale)
         self._pipeline = Pipeline([DenoiseUpscale(model=model, scale=scale), BothWays()], device, run_up=run_up)
         self.device_ms = 0.0
 
@@ -206,14 +206,14 @@ class Network:
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Colour (H, W, 3) of a frame."""
-        frame = self._given(frame)
+        frame = self._select_planes(frame)
         frame = self._backwards(frame) if self._backwards else frame
         result = self._pipeline(replace(frame, reset=frame.reset or self._method.alone))
         self.device_ms += sum(self._pipeline.timings.values()) + sum(self._pipeline.ahead)
         self.device_ms += (self._backwards.milliseconds or 0.0) if self._backwards else 0.0
         return result[Role.COLOUR]
 
-    def _given(self, frame: Frame) -> Frame:
+    def _select_planes(self, frame: Frame) -> Frame:
         """The frame with only the planes that the method may use."""
         planes = {role: plane for role, plane in frame.planes.items() if role not in self._lost}
         return replace(frame, guides=frame.guides if self._method.guides else {}, planes=planes)

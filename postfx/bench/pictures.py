@@ -40,7 +40,7 @@ def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> No
     Crops are where OIDN's picture and ours differ most; without OIDN, where the result and the reference do.
     """
     columns = _columns(material, rows, material.noisy.numbers[-1])
-    one, other = _compared(columns)
+    one, other = _choose_pair(columns)
     places = pick(np.abs(one - other).mean(-1), COUNT)
     _draw(columns, places, f"frame {material.noisy.numbers[-1]}", "where methods differ most", path)
 
@@ -53,7 +53,7 @@ def draw_worst(material: Material, rows: list[dict[str, Any]], path: Path) -> No
     nowhere behind.
     """
     path.unlink(missing_ok=True)
-    wanted = _wanted(rows)
+    wanted = _choose_methods(rows)
     ours = next((row for row in wanted if row["family"] == "ours"), None)
     theirs = [row for row in wanted if row["family"] == "oidn"]
     if not ours or not theirs:
@@ -132,15 +132,15 @@ def _columns(material: Material, rows: list[dict[str, Any]], number: int) -> lis
     first = material.reference(material.noisy.numbers[0])
     exposure = reference.exposure or grey_exposure(first[Role.COLOUR])
     target = to_codes(reference[Role.COLOUR], exposure)
-    noisy = to_codes(_repeated(material.motion(number)[Role.COLOUR], *material.size), exposure)
+    noisy = to_codes(_repeat(material.motion(number)[Role.COLOUR], *material.size), exposure)
     columns = [Column("noisy input", noisy, False)]
-    for row in _wanted(rows):
+    for row in _choose_methods(rows):
         result = material.result(row["output"], number)[Role.COLOUR]
         columns.append(Column(row["title"], to_codes(result, exposure)))
     return [*columns, Column("reference", target, False)]
 
 
-def _wanted(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _choose_methods(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """OIDN high, OIDN high with accumulation, and our largest model that uses no later frames, without and with guides;
     if these are missing, the first methods."""
     by_name = {row["name"]: row for row in rows}
@@ -151,13 +151,13 @@ def _wanted(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [row for row in chosen if row] or rows[:4]
 
 
-def _compared(columns: list[Column]) -> tuple[np.ndarray, np.ndarray]:
+def _choose_pair(columns: list[Column]) -> tuple[np.ndarray, np.ndarray]:
     """The first and the last method, or the only one and the reference."""
     methods = [column.picture for column in columns if column.measured]
     return (methods[0], methods[-1]) if len(methods) > 1 else (methods[0], columns[-1].picture)
 
 
-def _repeated(image: np.ndarray, height: int, width: int) -> np.ndarray:
+def _repeat(image: np.ndarray, height: int, width: int) -> np.ndarray:
     """Enlarge by nearest pixels, which shows the input unchanged."""
     h, w = image.shape[:2]
     repeated: np.ndarray = image[(np.arange(height) * h // height)[:, None], np.arange(width) * w // width]

@@ -215,10 +215,10 @@ def _read_stored(files: FrameFiles, number: int) -> Frame:
 def _change_rules(files: FrameFiles, **changes: Any) -> None:
     layouts: list[Layout | GuideLayout] = [files.layout, *([files.guides] if files.guides else [])]
     for layout in layouts:
-        layout.planes = {role: _changed(match, changes) for role, match in layout.planes.items()}
+        layout.planes = {role: _change(match, changes) for role, match in layout.planes.items()}
 
 
-def _changed(match: Match, changes: dict[str, Any]) -> Match:
+def _change(match: Match, changes: dict[str, Any]) -> Match:
     return match._replace(rule=replace(match.rule, **changes))
 
 
@@ -258,7 +258,7 @@ def _names(match: Match) -> list[str]:
 def _why(layout: Layout, match: Match, prefix: str) -> str:
     rule, role = match.rule, match.rule.role
     known = [name for other in layout.profile.rules(role) for name in other.names]
-    preferred = f"profile {layout.profile.name} knows {_listed(known, layout.layer)} for {role}, best first"
+    preferred = f"profile {layout.profile.name} knows {_list(known, layout.layer)} for {role}, best first"
     steps = [f"(stored + {list(rule.offset)}) x {list(rule.scale)}"] if any(rule.offset) else []
     steps += [f"times {list(rule.scale)}"] if not any(rule.offset) and set(rule.scale) != {1} else []
     steps += [f"unit {rule.unit}"] if role is Role.MOTION else []
@@ -283,9 +283,9 @@ def _why_not(layout: Layout, role: Role) -> str:
     if not rules:
         return f"profile {layout.profile.name} has no name for it"
     names = [",".join(names) for rule in rules for names in rule.candidates(layout.layer)]
-    return f"none of {_listed(names, layout.layer)} is there (profile {layout.profile.name})"
+    return f"none of {_list(names, layout.layer)} is there (profile {layout.profile.name})"
 
 
-def _listed(names: list[str], layer: str) -> str:
+def _list(names: list[str], layer: str) -> str:
     shown = [f"'{name.replace('{layer}', layer)}'" for name in dict.fromkeys(names)]
     return ", ".join(shown[:SHOWN]) + (f" and {len(shown) - SHOWN} more" if len(shown) > SHOWN else "")

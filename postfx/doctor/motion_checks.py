@@ -355,7 +355,7 @@ def check_samples_repeat(material: Material) -> Iterator[Finding]:
         yield error(Role.COLOUR, "samples-correlated", f"noise of {noise:.3g}, the same to the bit in {len(pairs) + 1} "
                     "frames", *ONE_SEED)
         return
-    found = [value for pair in pairs if not pair[1].reset and (value := _repeated(*pair)) is not None]
+    found = [value for pair in pairs if not pair[1].reset and (value := _correlate_repeats(*pair)) is not None]
     if not found:
         if pairs:
             yield info(Role.COLOUR, "samples-untested", "noise may repeat from frame to frame: not tested",
@@ -376,7 +376,7 @@ def _identical(before: Frame, now: Frame) -> bool:
     return np.array_equal(before[Role.COLOUR], colour, equal_nan=True)
 
 
-def _repeated(before: Frame, now: Frame) -> tuple[float, float] | None:
+def _correlate_repeats(before: Frame, now: Frame) -> tuple[float, float] | None:
     """Correlation of the noise in the same pixel and in pixels nearby, on surfaces that move."""
     if min(now[Role.COLOUR].shape[:2]) < 32 or Role.MOTION not in now:
         return None

@@ -104,7 +104,7 @@ def check_uniform_planes(material: Material) -> Iterator[Finding]:
         black = [number for number, size in sizes.items() if size < BLACK]
         spread = {float(value) for frame in frames for value in _extremes(frame[role])}
         if black and role is not Role.DEPTH:
-            evidence = f"0 everywhere in frame{'s' * (len(black) > 1)} {_listed(black)}; {len(frames)} were examined"
+            evidence = f"0 everywhere in frame{'s' * (len(black) > 1)} {_list(black)}; {len(frames)} were examined"
             wrong = role is Role.NORMAL or (role is Role.DIFFUSE_ALBEDO and not _is_metal(material.middle))
             yield (error if wrong else info)(role, "black", evidence, "the pass is switched off or was never written"
                                              if wrong else "switched off, or nothing in view has such a value",
@@ -140,7 +140,7 @@ def _is_one_value(plane: np.ndarray) -> bool:
     return bool((plane == plane[:1, :1]).all())
 
 
-def _listed(numbers: Sequence[int]) -> str:
+def _list(numbers: Sequence[int]) -> str:
     return ", ".join(map(str, numbers[:MOST_LISTED])) + " ..." * (len(numbers) > MOST_LISTED)
 
 
@@ -181,9 +181,9 @@ def check_misplaced_planes(material: Material) -> Iterator[Finding]:
     """Planes of another frame, and flipped planes, found by their outlines."""
     frames = [frame for frame in material.frames if frame.spec.width == material.first.spec.width
               and frame.spec.height == material.first.spec.height]
-    frozen = _frozen(frames)
+    frozen = _find_frozen(frames)
     for role in frozen:
-        yield error(role, "other-frame", f"identical in frames {_listed([f.number for f in frames])}, while other "
+        yield error(role, "other-frame", f"identical in frames {_list([f.number for f in frames])}, while other "
                     "planes change", "the plane of one frame was written to all", "write each frame's own plane")
     for role, placement in compare_edges(frames).items():
         flip = max(placement.flips, key=lambda name: placement.flips[name])
@@ -207,7 +207,7 @@ def _of_other_frame(role: Role, table: np.ndarray, numbers: list[int]) -> Iterat
                     "another order", "write each frame's own plane")
 
 
-def _frozen(frames: Sequence[Frame]) -> list[Role]:
+def _find_frozen(frames: Sequence[Frame]) -> list[Role]:
     """Planes that show something and never change, although most others do."""
     if len(frames) < 2:
         return []

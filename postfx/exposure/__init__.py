@@ -232,11 +232,11 @@ def smooth_ev(readings: Sequence[MeterReading], width: float) -> dict[int, float
     curve: dict[int, float] = {}
     for shot in shots([reading.cut for reading in readings]):
         ev = np.array([np.nan if reading.ev is None else reading.ev for reading in readings[shot]])
-        curve |= zip((reading.number for reading in readings[shot]), _smoothed(ev, width), strict=True)
+        curve |= zip((reading.number for reading in readings[shot]), _smooth(ev, width), strict=True)
     return curve
 
 
-def _smoothed(ev: np.ndarray, width: float) -> list[float]:
+def _smooth(ev: np.ndarray, width: float) -> list[float]:
     """A straight line fitted around each frame; a mean would bend at the shot's ends."""
     known = np.flatnonzero(np.isfinite(ev))
     if known.size == 0:

@@ -238,7 +238,7 @@ def _report(frames: Sequence[_Frame], levels: Sequence[float], judged: Calibrati
     readings = [Reading(frame.number, frame.cut, frame.exposure_ev, frame.reference_ev, frame.picture_ev, level,
                         mismatch, wanted)
                 for frame, level, mismatch, wanted in zip(frames, levels, found, expected, strict=True)]
-    judged_shots = [_judged(readings[shot]) for shot in shots([item.cut for item in readings])]
+    judged_shots = [_judge(readings[shot]) for shot in shots([item.cut for item in readings])]
     return Report(readings, judged_shots, judged.response.grey, judged.response.limits_ev, judged.curve)
 
 
@@ -257,7 +257,7 @@ class _Mode:
         return self._ev[number] if self._meter else smooth[number]
 
 
-def _judged(readings: Sequence[Reading]) -> Shot:
+def _judge(readings: Sequence[Reading]) -> Shot:
     mismatch = np.array([reading.mismatch_ev for reading in readings])
     verdict = _verdict(mismatch, np.ptp([reading.reference_ev for reading in readings]))
     return Shot(

@@ -129,15 +129,15 @@ def _band_sums(band: Mapping[Role, np.ndarray], missed: np.ndarray, first: int, 
         inside = (slice(span, -span), slice(span, -span))
         if min(light.shape) <= 2 * span:
             continue
-        whole = _crossed(missed.astype(np.float32), span, (1, 1, 1)) == 9
-        found = np.where(whole, _crossed(light, span, (1, -2, 1)) ** 2 / 36, np.float32(0))
+        whole = _sum_across(missed.astype(np.float32), span, (1, 1, 1)) == 9
+        found = np.where(whole, _sum_across(light, span, (1, -2, 1)) ** 2 / 36, np.float32(0))
         power[inside] = np.maximum(power[inside], found)
         count[inside] += whole & (span == SPANS[0])
     planes = (power, count, light, (missed & ~broken).astype(np.float32))
     return np.stack([_square_sums(plane[first:last]) for plane in planes])
 
 
-def _crossed(plane: np.ndarray, span: int, weights: tuple[int, int, int]) -> np.ndarray:
+def _sum_across(plane: np.ndarray, span: int, weights: tuple[int, int, int]) -> np.ndarray:
     """Weighted sums along rows and columns, of pixels that are `span` apart; without a border of `span` pixels."""
     before, here, after = weights
     rows = before * plane[:-2 * span] + here * plane[span:-span] + after * plane[2 * span:]

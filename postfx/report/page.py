@@ -41,7 +41,7 @@ def page(title: str, name: str, scripts: Sequence[str], data: dict[str, Any]) ->
         "script": "".join(map(_part, ("page.js", *scripts))),
         "data": _as_script(data),
     }
-    return _filled(_part("page.html"), parts)
+    return _fill(_part("page.html"), parts)
 
 
 def _as_script(data: dict[str, Any]) -> str:
@@ -50,7 +50,7 @@ def _as_script(data: dict[str, Any]) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _filled(template: str, parts: dict[str, str]) -> str:
+def _fill(template: str, parts: dict[str, str]) -> str:
     """The template with each `{{name}}` replaced; inserted text is not searched again."""
     pieces = template.split("{{")
     return pieces[0] + "".join(parts[name] + rest for name, _, rest in (piece.partition("}}") for piece in pieces[1:]))
@@ -207,7 +207,7 @@ class FrameCapture:
         self._following: list[int] = []  # frames to capture instead of one that fails
         self._device, self._number, self._tensors, self._network = device, number, tensors, network
         self._folder = Path(folder)
-        self._made()  # raises its errors now, and not after the first frames
+        self._make_capture()  # raises its errors now, and not after the first frames
         if check:
             check_folder(self._folder, "capture")
 
@@ -232,7 +232,7 @@ class FrameCapture:
         if self.page or number != self._number:
             yield
             return
-        capture = self._made()
+        capture = self._make_capture()
         try:
             with capture:
                 yield
@@ -246,7 +246,7 @@ class FrameCapture:
         else:
             self.warnings = [f"frame {number} could not be processed: nothing was captured"]
 
-    def _made(self) -> Capture:
+    def _make_capture(self) -> Capture:
         return self._device.capture(self._tensors, self._folder if self._tensors == "all" else None, self._network)
 
     def _write(self, capture: Capture, number: int) -> None:

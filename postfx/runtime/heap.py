@@ -226,7 +226,7 @@ class Arena:
         """
         if not any(isinstance(record, Dispatch) and record.arguments for record in records):
             return None
-        if before is None or before.memory is not self._held():
+        if before is None or before.memory is not self._get_memory():
             before = self._new(records, kept)
         if self._replaced is not None and self._replaced() is None:
             self._replaced = None
@@ -254,7 +254,7 @@ class Arena:
         places = [(item, item.at(memory, start)) for item, start in zip(transients, plan.offsets, strict=True)]
         for transient, allocation in places:
             transient.place = allocation
-        return Placement([_placed(record) for record in records], plan, memory, places)
+        return Placement([_with_memory(record) for record in records], plan, memory, places)
 
     def _plan(self, records: Sequence[Record], uses: Uses, kept: list[int], transients: list[Transient]) -> Plan:
         """The plan for all buffers with records like these; made once."""
@@ -269,7 +269,7 @@ class Arena:
 
     def _present(self, transients: Iterable[Transient]) -> Present | None:
         """Where the tensors are now, so that as few addresses as possible change."""
-        memory = self._held()
+        memory = self._get_memory()
         if memory is None:
             return None
         places = (item.place for item in transients)
@@ -277,7 +277,7 @@ class Arena:
 
     def _memory_for(self, plan: Plan) -> Tensor:
         """The current memory; new memory if the plan needs more, or if all live tensors need less."""
-        memory, count = self._held(), len(self._live)
+        memory, count = self._get_memory(), len(self._live)
         if memory is None or memory.nbytes < plan.nbytes or self._count != count:
             with self._live_lock:
                 needed = max(item.needs for item in self._live)
@@ -287,7 +287,7 @@ class Arena:
         self._memory, self._count = weakref.ref(memory), count
         return memory
 
-    def _held(self) -> Tensor | None:
+    def _get_memory(self) -> Tensor | None:
         return None if self._memory is None else self._memory()
 
 
@@ -303,16 +303,16 @@ def _uses(records: Iterable[Record]) -> tuple[Uses, list[Transient]]:
 def _order(records: Sequence[Record]) -> tuple[object, ...]:
     """A key for the order of dispatches: encoders in order of appearance, with stages and barriers."""
     numbers: dict[int, int] = {}
-    return tuple((numbers.setdefault(record.encoder, len(numbers)), *_ordering(record)) for record in records)
+    return tuple((numbers.setdefault(record.encoder, len(numbers)), *_order_key(record)) for record in records)
 
 
-def _ordering(record: Record) -> tuple[object, ...]:
+def _order_key(record: Record) -> tuple[object, ...]:
     if isinstance(record, Dispatch):
         return (record.stage,)
     return (type(record),) if isinstance(record, EncoderBarrier) else (type(record), record.after, record.before)
 
 
-def _placed(record: Record) -> Record:
+def _with_memory(record: Record) -> Record:
     if not isinstance(record, Dispatch) or record.arguments is None:
         return record
     placed = record.arguments.with_memory()
@@ -371,9 +371,10 @@ def make_plan(
     users = _users([*uses, tuple(kept)], len(sizes))
     earlier = [*predecessors(records), (1 << len(uses)) - 1]
     before = _before(users, earlier)
-    apart = [[other for other in range(len(sizes)) if not _ordered(before, item, other)] for item in range(len(sizes))]
+    apart = [[other for other in range(len(sizes)) if not _are_ordered(before, item, other)]
+             for item in range(len(sizes))]
     spans = [(_first(mask), mask.bit_length()) for mask in users]
-    offsets = _settled(present, sizes, apart) if present else None
+    offsets = _keep_places(present, sizes, apart) if present else None
     if offsets is None:
         offsets = _place(_largest_first(range(len(sizes)), sizes), sizes, apart, [-1] * len(sizes))
     by_time = sorted(range(len(sizes)), key=lambda i: spans[i])
@@ -401,11 +402,11 @@ def _before(users: Sequence[int], earlier: Sequence[int]) -> list[int]:
     return result
 
 
-def _ordered(before: Sequence[int], one: int, other: int) -> bool:
+def _are_ordered(before: Sequence[int], one: int, other: int) -> bool:
     return one == other or bool(before[one] >> other & 1 or before[other] >> one & 1)
 
 
-def _settled(present: Present, sizes: Sequence[int], apart: Sequence[Sequence[int]]) -> list[int] | None:
+def _keep_places(present: Present, sizes: Sequence[int], apart: Sequence[Sequence[int]]) -> list[int] | None:
     """Offsets that leave tensors where they are; None if no tensor can stay, or the others do not fit."""
     lying = [item for item, offset in enumerate(present.offsets) if offset >= 0]
     if not lying or any(_touch(item, other, present.offsets, sizes) for item in lying for other in apart[item]):

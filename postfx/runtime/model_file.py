@@ -103,7 +103,7 @@ class _Reader:
             elif number == 5:
                 model.weights.append(self._weights(_message(value)))
             elif number in declared:
-                declared[number].append(self._declared(_message(value)))
+                declared[number].append(self._parse_declared(_message(value)))
             elif number == 15:
                 model.extras.add("sparse weights")
 
@@ -169,7 +169,7 @@ class _Reader:
         found = {number: text(value) for number, value in self._wire.fields(message)}
         return {found.get(1, ""): found.get(2, "")}
 
-    def _declared(self, message: memoryview) -> Declared:
+    def _parse_declared(self, message: memoryview) -> Declared:
         name, shape = "", None
         for number, value in self._wire.fields(message):
             if number == 1:
@@ -289,9 +289,9 @@ class Wire:
         while not isinstance(value, int) and at < len(value):
             item, at = _varint(value, at)
             self._count()
-            yield _signed(item)
+            yield _as_signed(item)
         if isinstance(value, int):
-            yield _signed(value)
+            yield _as_signed(value)
 
     def _count(self) -> None:
         self._left -= 1
@@ -332,7 +332,7 @@ def text(value: int | memoryview) -> str:
         raise WireError("a name that is not UTF-8") from error
 
 
-def _signed(value: int) -> int:
+def _as_signed(value: int) -> int:
     return value - (1 << 64) if value >> 63 else value
 
 

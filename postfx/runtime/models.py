@@ -90,13 +90,13 @@ class Library:
         for file, expected in card.get("weights", {}).items():
             if not is_plain_name(file):
                 raise ModelError(f"card of '{path}' has weights in '{file}': name a file of the same folder")
-            _checked(path.with_name(file), expected)
-        content = _checked(path, card.get("sha256"))
+            _read_checked(path.with_name(file), expected)
+        content = _read_checked(path, card.get("sha256"))
         check_model(path, content, card, self.trust)
         return content
 
 
-def _checked(path: Path, sha256: str | None) -> bytes:
+def _read_checked(path: Path, sha256: str | None) -> bytes:
     content = _content(path)
     if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
         raise ModelError(f"model '{path}' is not the file that its card describes (sha256 differs): get it again")

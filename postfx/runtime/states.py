@@ -234,7 +234,7 @@ def _session_bindings(
     for source, result in in_place.items():
         if source not in reads or result not in writes:
             raise ModelError(f"network '{name}' cannot replace '{source}' by '{result}': it has the inputs "
-                             f"{_quoted(reads)} and the outputs {_quoted(writes)}")
+                             f"{_quote(reads)} and the outputs {_quote(writes)}")
         one, other = reads[source], writes.pop(result)
         if (one.shape, one.dtype) != (other.shape, other.dtype):
             raise ModelError(f"network '{name}' cannot replace '{source}', {one.shape} {one.dtype}, by '{result}', "
@@ -368,14 +368,14 @@ class ArgumentTable:
         if self._arguments is None:
             unbound = [name for name in self._bindings if name not in self._tensors]
             if unbound:
-                raise BindingError(f"{self.state.command}: nothing is bound to {_quoted(unbound)}: {_BIND}")
+                raise BindingError(f"{self.state.command}: nothing is bound to {_quote(unbound)}: {_BIND}")
             self._check_together()
             self._arguments = Arguments(self.state, tuple(self._tensors[name] for name in self._bindings))
         return self._arguments
 
     def _binding(self, name: str) -> Binding:
         if name not in self._bindings:
-            raise BindingError(f"{self.state.command} has no binding '{name}': it has {_quoted(self._bindings)}")
+            raise BindingError(f"{self.state.command} has no binding '{name}': it has {_quote(self._bindings)}")
         return self._bindings[name]
 
     def _check(self, binding: Binding, tensor: Tensor) -> None:
@@ -403,7 +403,7 @@ class ArgumentTable:
             raise BindingError(f"{self.state.command}: {error}") from None
 
 
-def _quoted(names: Mapping[str, object] | list[str]) -> str:
+def _quote(names: Mapping[str, object] | list[str]) -> str:
     return ", ".join(f"'{name}'" for name in names)
 
 

@@ -57,12 +57,12 @@ class CommandQueue:
         if beside is not None:
             self._apart.append(beside.submit(work))
         elif self._apart:
-            self._work.put(partial(_after, self._apart, work))
+            self._work.put(partial(_run_after, self._apart, work))
         else:
             self._work.put(work)
 
 
-def _after(others: Sequence[Future[None]], work: Callable[[], None]) -> None:
+def _run_after(others: Sequence[Future[None]], work: Callable[[], None]) -> None:
     wait(others)
     work()
 
@@ -254,11 +254,11 @@ def is_done(flags: np.ndarray, i: int, looks: int) -> bool:
 def pauses_in(seconds: float) -> int:
     """About how many pauses this processor makes in that time, at least 1."""
     pauses(1)
-    least = min(_timed(SAMPLE) for _ in range(3))
+    least = min(_time_pauses(SAMPLE) for _ in range(3))
     return max(1, int(seconds * SAMPLE / least))
 
 
-def _timed(count: int) -> float:
+def _time_pauses(count: int) -> float:
     begin = time.perf_counter()
     pauses(count)
     return time.perf_counter() - begin
