@@ -1,6 +1,6 @@
-"""One picture of what a renderer should write: the planes of a frame of the sample sequence, and what comes out.
+"""One picture of what a renderer should write: the planes of a frame, and what comes out.
 
-python samples/planes.py [PICTURE.jpg]
+python samples/planes.py [PICTURE.jpg] [PATTERN]
 
 Each plane is drawn as `postfx inspect --pictures` draws it.
 """
@@ -13,15 +13,18 @@ import postfx
 from postfx.doctor.pictures import picture
 from postfx.frame import Role
 
-ROWS = ((Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL),
-        (Role.DEPTH, Role.MOTION, Role.ROUGHNESS, None))  # None: the result, at the render's size
+PLANES = (Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH, Role.MOTION, Role.ROUGHNESS)
 FRAME, GAP = 6, 4  # late enough to have a history; pixels between the pictures
 
 target = Path(sys.argv[1] if len(sys.argv) > 1 else "out/planes.jpg")
+pattern = sys.argv[2] if len(sys.argv) > 2 else Path(__file__).parent / "room" / "noisy.####.exr"
 passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=1)])
-for frame in postfx.read_sequence(Path(__file__).parent / "room" / "noisy.####.exr", frames=f"1-{FRAME}"):
+for frame in postfx.read_sequence(pattern, frames=f"1-{FRAME}"):
     clean = passes(frame)
-drawn = [[picture(frame[role] if role else clean[Role.COLOUR], role or Role.COLOUR) for role in row] for row in ROWS]
-apart = [[np.pad(one, ((0, GAP), (0, GAP), (0, 0)), constant_values=255) for one in row] for row in drawn]
-sheet = np.concatenate([np.concatenate(row, 1) for row in apart])[:-GAP, :-GAP].astype(np.float32) / 255
+drawn = [picture(frame[role], role) for role in PLANES if role in frame.planes]
+drawn.append(picture(clean[Role.COLOUR], Role.COLOUR))  # at the render's size
+drawn += [np.full_like(drawn[0], 255)] * (len(drawn) % 2)
+apart = [np.pad(one, ((0, GAP), (0, GAP), (0, 0)), constant_values=255) for one in drawn]
+rows = [np.concatenate(row, 1) for row in (apart[:len(apart) // 2], apart[len(apart) // 2:])]
+sheet = np.concatenate(rows)[:-GAP, :-GAP].astype(np.float32) / 255
 print("wrote", postfx.write_frame(target, postfx.Frame({Role.COLOUR: sheet}, encoding="srgb")))

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 import postfx
@@ -39,6 +40,12 @@ def test_script_writes_its_frames(script, tmp_path):
 def test_before_and_after_stand_side_by_side(tmp_path):
     run("before_after.py", str(tmp_path / "both.png"))
     assert (tmp_path / "both.png").stat().st_size > 100000
+
+
+def test_planes_stand_on_one_picture(tmp_path):
+    run("planes.py", str(tmp_path / "planes.png"))
+    spec = oiio.ImageInput.open(str(tmp_path / "planes.png")).spec()
+    assert (spec.width, spec.height) == (4 * 320 + 3 * 4, 2 * 180 + 4)
 
 
 def test_both_directions_are_better_than_one(tmp_path):
@@ -190,5 +197,5 @@ def test_every_script_is_run_here():
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
-             "irradiance_network.py"}
+             "irradiance_network.py", "planes.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

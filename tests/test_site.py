@@ -27,6 +27,7 @@ from postfx.io.profile import load_profile
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 TASKS = DOCS / "howto/tasks.md"
+BLENDER = os.environ.get("POSTFX_BPY_PYTHON")
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 MADE_BY_US = {"try/index.html"}
 """Files of the site that are neither pages nor in docs/."""
@@ -164,14 +165,17 @@ def test_pictures_are_made_by_what_the_gallery_says():
 
 @pytest.mark.parametrize("page", ["start/blender.md", "start/mitsuba.md", "start/arnold.md", "start/others.md"])
 def test_blocks_of_the_start_pages_are_right(page, tmp_path):
-    """Profiles load, Python compiles, and Mitsuba takes its integrator."""
+    """Profiles load, Mitsuba takes its integrator, and Blender its passes, where the package bpy is."""
     for language, block in code_blocks((DOCS / page).read_text("utf-8")):
         if language == "toml":
             path = tmp_path / "studio.toml"
             path.write_text(block)
             assert load_profile(str(path)).name and "extends" in tomllib.loads(block)
         if language == "python":
-            ast.parse(block)
+            if "bpy" in block and BLENDER:
+                told = "print(layer.use_pass_vector, layer.use_pass_glossy_color, settings.file_format)"
+                done = subprocess.run([BLENDER, "-c", f"{block}\n{told}"], capture_output=True, text=True)
+                assert "True True OPEN_EXR_MULTILAYER" in done.stdout, done.stderr
             if "mitsuba" in block:
                 mitsuba = pytest.importorskip("mitsuba")
                 before, names = mitsuba.variant(), {}  # other tests of this process may have chosen one
