@@ -327,7 +327,7 @@ def _share_of_machine(ray: Any, address: str, given: argparse.Namespace) -> dict
     cores = [each["CPU"] / (each["GPU"] if gpus else 1) for each in machines
              if each.get("CPU") and (each.get("GPU") or not gpus)]
     if not cores:
-        raise FarmError(f"--ray {address}: Ray has no machine with cores: begin one with 'ray start --address'")
+        raise FarmError(f"--ray {address}: Ray has no machine with cores: start one with 'ray start --address'")
     _tell(f"Ray at {address}, machines: {len(cores)}")
     return {"num_cpus": max(1, int(min(cores))), "num_gpus": gpus}
 

@@ -184,4 +184,4 @@ class Stop:
         if self.is_requested:
             raise Interrupted(number)
         self._asked = number
-        self._tell("stopping when this frame is finished; once more stops at once")
+        self._tell("stopping when this frame is finished; a second signal stops at once")

@@ -337,7 +337,7 @@ class Job:
             return frame
         part = self._backwards.part(frame.number) if write else None
         if part and part[0] != part[1]:
-            progress.note(f"frames {part[1]} to {part[0]}, backwards first")  # may take long
+            progress.note(f"frames {part[1]} to {part[0]} first, in reverse order")  # may take long
         return self._backwards(frame, write, stop.check)
 
     def _read(self, run: Run, work: Work) -> Frame | None:

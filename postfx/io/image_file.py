@@ -293,7 +293,7 @@ def parse_header(start: bytes, path: Path) -> RadianceHeader:
         elif key == "PRIMARIES":
             primaries = tuple(_numbers(value, 8, line, path))
         elif key == "FORMAT" and value.strip() == "32-bit_rle_xyze":
-            raise ReadError(f"{path}: holds CIE XYZ, which is not read: turn it to RGB first, with 'ra_xyze -r -u'")
+            raise ReadError(f"{path}: holds CIE XYZ, which is not read: convert it to RGB first, with 'ra_xyze -r -u'")
     if not ((exposure > 1 / _MOST) & (exposure < _MOST)).all():
         raise ReadError(f"{path}: broken file: its header says that it was multiplied by {exposure.min():g}; correct "
                         "EXPOSURE and COLORCORR")

@@ -139,7 +139,7 @@ def make_layout(
 def take_opaque_colour(layout: Layout, index: ChannelIndex) -> None:
     """Let the colour before transparents be the frame's colour, as there is an overlay to composite over it.
 
-    Its own alpha, channel A beside it, becomes the frame's; the alpha of all together counts the overlay already.
+    Its own alpha, channel A beside it, becomes the frame's; the alpha of all together includes the overlay already.
     """
     match = layout.planes.pop(Role.OPAQUE_COLOUR, None)
     if match is None:
@@ -151,7 +151,7 @@ def take_opaque_colour(layout: Layout, index: ChannelIndex) -> None:
         layout.planes[Role.ALPHA] = alpha
     elif together:
         layout.warnings.append(
-            f"alpha {together.names} counts the overlay and is not used: write the alpha before transparents beside "
+            f"alpha {together.names} includes the overlay and is not used: write the alpha before transparents beside "
             f"{match.names}"
         )
 

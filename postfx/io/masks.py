@@ -140,7 +140,7 @@ class LeftAlone:
                   *(converged.READS if self._basis else ())}
         self.reads = tuple(role for role in layout.planes if role in looked)
         if self._auto() and not {Role.DEPTH, Role.NORMAL, Role.ALPHA} & set(self.reads):
-            raise StrengthError(f"{path}: '{AUTO}' has nothing to look at: render depth, normals or alpha, too")
+            raise StrengthError(f"{path}: '{AUTO}' has no plane to look at: render depth, normals or alpha, too")
         self.shares = Coverage()
 
     def strength(self, planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> np.ndarray:

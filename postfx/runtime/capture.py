@@ -169,7 +169,7 @@ class Capture:
     def __enter__(self) -> Self:
         with self.device.commit_lock:
             if self.device.active_capture is not None:
-                raise CaptureError(f"{self.device!r} is being captured already: leave that capture first")
+                raise CaptureError(f"{self.device!r} is being captured already: end that capture first")
             self.device.active_capture = self
         return self
 

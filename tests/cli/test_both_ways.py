@@ -21,7 +21,7 @@ def test_first_frames_are_as_clean_as_later_ones(postfx, noise):
     assert done.code == 0, done.err
     assert set(done.json["passes"]) == {"denoise_upscale backwards", "denoise_upscale", "both_ways"}
     assert done.json["guides"] is None
-    assert "frames 6 to 1, backwards first" in done.err
+    assert "frames 6 to 1 first, in reverse order" in done.err
     assert spread(noise / "both/a.0001.exr") < 0.7 * spread(noise / "one/a.0001.exr")
 
 

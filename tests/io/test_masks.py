@@ -200,7 +200,7 @@ def test_a_thing_need_not_be_in_every_frame(write: Callable[..., Path]) -> None:
     ("logo", {"hash": "SHA1"}, "Cryptomatte CryptoObject: hash SHA1 is not known: render it with MurmurHash3_32"),
     ("logo", {"conversion": "none"}, "conversion none is not known: render it with uint32_to_float32"),
     ("logo", {"name": "CryptoAsset"}, "Cryptomatte CryptoAsset: no channels CryptoAsset00.R, G, B, A"),
-    ("auto", {}, "'auto' has nothing to look at: render depth, normals or alpha, too"),
+    ("auto", {}, "'auto' has no plane to look at: render depth, normals or alpha, too"),
 ])
 def test_what_is_wrong_is_told_in_one_line(
     write: Callable[..., Path], leave: str, fields: dict[str, str], message: str

@@ -56,7 +56,7 @@ def test_exposures_are_taken_out_and_primaries_are_used(tmp_path: Path) -> None:
     ("EXPOSURE=nan\n", "rgbe", "'EXPOSURE=nan' is not a number"),
     ("EXPOSURE=bright\n", "rgbe", "'EXPOSURE=bright' is not a number"),
     ("PRIMARIES=1 2 3\n", "rgbe", "'PRIMARIES=1 2 3' is not 8 numbers"),
-    ("", "xyze", "holds CIE XYZ, which is not read: turn it to RGB first"),
+    ("", "xyze", "holds CIE XYZ, which is not read: convert it to RGB first"),
 ])
 def test_headers_that_cannot_be(tmp_path: Path, lines: str, kind: str, message: str) -> None:
     with pytest.raises(ReadError, match=rf"a\.hdr: .*{message}"):

@@ -99,7 +99,7 @@ class Header:
                 raise ReadError("its list of channels ends early")
             kind, linear, x, y = struct.unpack_from("<iB3x2i", stored, end + 1)
             if kind not in (0, 1, 2) or x < 1 or y < 1:
-                raise ReadError("a channel of it has an unknown type")
+                raise ReadError("one of its channels has an unknown type")
             found.append(ChannelInfo(text(stored[at:end]), kind, linear, x, y))
             at = end + 17
         return found

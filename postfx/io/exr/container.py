@@ -64,7 +64,7 @@ def count_chunks(header: Header) -> int:
     """Chunks of a part, by its size and tiles."""
     data = header.data
     if header.part_type not in PART_TYPES:
-        raise ReadError(f"a part of it is of the unknown type '{header.part_type}'")
+        raise ReadError(f"a part has the unknown type '{header.part_type}'")
     if header.compression not in LINES:
         raise ReadError(f"its compression {header.compression} is not known")
     if not (1 <= data.width <= MAX_SIDE and 1 <= data.height <= MAX_SIDE):
