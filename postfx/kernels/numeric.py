@@ -180,6 +180,12 @@ def add_four(total: Four, four: Four, weight: Real) -> Four:
 
 
 @inline
+def mix_four(some: Four, others: Four, share: Real) -> Four:
+    """some + (others - some) * share."""
+    return _mix_four(some, others, share)
+
+
+@inline
 def load_eight(flat: np.ndarray, at: int) -> Eight:
     """Eight numbers of a flat array, from a place on."""
     return _load_eight(flat, at)
@@ -201,6 +207,12 @@ def add_eight(total: Eight, eight: Eight, weight: Real) -> Eight:
 def add_products_of_eight(total: Eight, some: Eight, others: Eight) -> Eight:
     """total + some * others, number by number."""
     return _add_products_of_eight(total, some, others)
+
+
+@inline
+def mix_eight(some: Eight, others: Eight, share: Real) -> Eight:
+    """some + (others - some) * share."""
+    return _mix_eight(some, others, share)
 
 
 @inline
@@ -278,6 +290,21 @@ def _adder(count: int, many_weights: bool) -> Any:
     return add
 
 
+def _mixer(count: int) -> Any:
+    @intrinsic
+    def mix(typingctx: Any, some: Any, others: Any, share: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            kind, name = _vector_of(count), f"llvm.fmuladd.v{count}f32"
+            function = builder.module.declare_intrinsic(name, (), ir.FunctionType(kind, [kind] * 3))
+            first, second = (_as_vector(count, builder, some) for some in arguments[:2])
+            shares = _pack(builder, [arguments[2]] * count)
+            return _as_tuple(builder, builder.call(function, [builder.fsub(second, first), shares, first]))
+
+        return _tuple_of(count)(some, others, types.float32), generate
+
+    return mix
+
+
 @intrinsic
 def _divide_eight(typingctx: Any, some: Any, others: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -344,4 +371,5 @@ _load_four, _load_eight, _load_sixteen = _loader(4), _loader(8), _loader(16)
 _store_four, _store_eight = _storer(4), _storer(8)
 _add_four, _add_eight, _add_sixteen = (_adder(count, False) for count in (4, 8, 16))
 _add_products_of_eight = _adder(8, True)
+_mix_four, _mix_eight = _mixer(4), _mixer(8)
 _from_first, _from_second, _from_third, _from_fourth = (_eight_from(first) for first in (0, 3, 6, 9))

@@ -38,9 +38,13 @@ from postfx.kernels.numeric import (
     demodulation,
     expm1,
     fused,
+    load_eight,
+    load_four,
     log,
     log1p,
     log_encode,
+    mix_eight,
+    mix_four,
 )
 
 MEMORY = 4 + HIDDEN
@@ -89,12 +93,14 @@ def recall_row(y: int, columns: np.ndarray, moved: np.ndarray, state: np.ndarray
         if is_unknown(flat[count], flat[count + to_right], flat[count + to_below], flat[count + across], tx, ty):
             valid[x], memory[:, x], memory[3, x] = ZERO, ZERO, -ONE
             continue
-        for c in range(MEMORY):
-            i = at + np.uint64(c)
-            top = flat[i] + (flat[i + to_right] - flat[i]) * tx
-            bottom = flat[i + to_below] + (flat[i + across] - flat[i + to_below]) * tx
-            value = top + (bottom - top) * ty
-            memory[c, x] = value if c < 3 else value * keep[x]
+        light = mix_four(mix_four(load_four(flat, at), load_four(flat, at + to_right), tx),
+                         mix_four(load_four(flat, at + to_below), load_four(flat, at + across), tx), ty)
+        at += np.uint64(4)
+        hidden = mix_eight(mix_eight(load_eight(flat, at), load_eight(flat, at + to_right), tx),
+                           mix_eight(load_eight(flat, at + to_below), load_eight(flat, at + across), tx), ty)
+        memory[0, x], memory[1, x], memory[2, x], memory[3, x] = light[0], light[1], light[2], light[3] * keep[x]
+        for c in range(HIDDEN):
+            memory[4 + c, x] = hidden[c] * keep[x]
 
 
 @fused

@@ -36,6 +36,7 @@ from postfx.kernels.denoise.upsample import (
     between,
     control_row,
     gauss,
+    interleave,
     is_doubled,
     lean,
     lean_on,
@@ -200,15 +201,6 @@ def add_three_picked(taps: np.ndarray, row: np.ndarray, index: np.ndarray, total
         total[x] = total[x] + a[x] * row[at] + b[x] * row[at + 1] + c[x] * row[at + 2]
 
 
-@vectorised
-def interleave(rows: np.ndarray, flat: np.ndarray) -> None:
-    """Rows of the red, green and blue of even pixels, then of odd ones, as one row of pixels."""
-    a, b, c, d, e, f = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
-    for x in range(a.size):
-        flat[6 * x], flat[6 * x + 1], flat[6 * x + 2] = a[x], b[x], c[x]
-        flat[6 * x + 3], flat[6 * x + 4], flat[6 * x + 5] = d[x], e[x], f[x]
-
-
 @fused
 def blend_light(current: np.ndarray, warped: np.ndarray, trust: np.ndarray, darken: Real, light: np.ndarray) -> None:
     """Blend light with the reprojected history, neither of which is encoded: a sum of parts blends as the parts do.
@@ -358,7 +350,7 @@ def light_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: 
         for k in range(count):
             if sides == 2:
                 add_nine(taps, total, radiance, k, iy, rows)
-                interleave(rows, current)
+                interleave(rows[:3], rows[3:], current)
             else:
                 for c in range(3):
                     rows[c] = ZERO

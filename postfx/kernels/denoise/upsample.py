@@ -161,6 +161,23 @@ def place(row: np.ndarray, first: int, step: int, flat: np.ndarray) -> None:
         flat[first + step * x] = row[x]
 
 
+@vectorised
+def interleave(even: np.ndarray, odd: np.ndarray, flat: np.ndarray) -> None:
+    """Rows of the red, green and blue of even pixels, and of odd ones, as one row of pixels."""
+    a, b, c, d, e, f = even[0], even[1], even[2], odd[0], odd[1], odd[2]
+    for x in range(a.size):
+        flat[6 * x], flat[6 * x + 1], flat[6 * x + 2] = a[x], b[x], c[x]
+        flat[6 * x + 3], flat[6 * x + 4], flat[6 * x + 5] = d[x], e[x], f[x]
+
+
+@vectorised
+def repeat_three(even: np.ndarray, odd: np.ndarray, flat: np.ndarray) -> None:
+    """A number of each even and of each odd pixel, for each of its three channels."""
+    for x in range(even.size):
+        flat[6 * x] = flat[6 * x + 1] = flat[6 * x + 2] = even[x]
+        flat[6 * x + 3] = flat[6 * x + 4] = flat[6 * x + 5] = odd[x]
+
+
 TAPS = 9
 ONE, MOST_LIGHT = np.float32(1), np.float32(MAX_FLOAT)
 
@@ -216,12 +233,16 @@ def trust_side(first: int, y: Real, size: tuple[int, int], moved: np.ndarray, pa
     """At scale 2, how much of the history each output pixel on one side of the render pixels keeps, from ``first`` on.
 
     ``share`` is how much each render pixel may keep, ``trust`` the predicted blend at first; nothing is kept where the
-    pixel lay beyond the border, or where the history does not hold it.
+    pixel lay beyond the border, or where the history does not hold it. Flat arrays, numbers of 32 bits and tests
+    without jumps become vector code.
     """
+    flat, held_count, (across, down) = moved.reshape(moved.size), past.reshape(past.size), scale
+    right, bottom = np.float32(size[0]) - HALF, np.float32(size[1]) - HALF
     for x in range(trust.size):
-        px, py = np.float32(2 * x + first) + moved[x, 0] * scale[0], y + moved[x, 1] * scale[1]
-        kept = held(px, py, size[0], size[1]) and past[x, 3] >= ZERO
-        trust[x] = share[x] * (ONE - trust[x]) if kept else ZERO
+        px, py = np.float32(np.int32(2 * x + first)) + flat[2 * x] * across, y + flat[2 * x + 1] * down
+        inside = (px >= -HALF) & (px <= right) & (py >= -HALF) & (py <= bottom) & (held_count[4 * x + 3] >= ZERO)
+        kept = share[x] * (ONE - trust[x])
+        trust[x] = kept if inside else ZERO
 
 
 @compiled
@@ -249,28 +270,29 @@ def double_row(y: int, left: int, iy: int, lower: int, radiance: np.ndarray, col
                rows: np.ndarray, soft: np.ndarray, current: np.ndarray, trust: np.ndarray) -> None:
     """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps."""
     channels, w = radiance.shape[0], rows.shape[1]
-    total, line = rows[channels], rows[channels + 1]
+    total, line = rows[2 * channels], rows[2 * channels + 1]
     for side in range(2):
-        corner = 2 * lower + side
-        rows[:channels], rows[channels] = ZERO, TINY
+        corner, found = 2 * lower + side, rows[side * channels:(side + 1) * channels]
+        found[:], total[:] = ZERO, TINY
         for tap in range(TAPS):
             j, i = tap // 3, tap % 3
             scale_row(fine[0, TAP_WEIGHTS + 4 * tap + corner, iy], gauss_y[j] * gauss_x[i, side], line)
             add(line, total)
             for c in range(channels):
-                add_product(line, radiance[c, iy + j, i:i + w], rows[c])
+                add_product(line, radiance[c, iy + j, i:i + w], found[c])
         for c in range(3):
             soften(column[c], wide_x, side, soft)
             if channels > 3:
                 soften(column[3 + c], wide_x, side, line)
                 guided_row(line, guide[c], guide[3], side, 2, soft)
-                guided_row(rows[3 + c], guide[c], guide[3], side, 2, rows[c])
-            encode_sharp(rows[c], total, soft, fine[0, SHARPEN + corner, iy])
-            place(rows[c], 3 * side + c, 6, current)
-        line[:] = fine[0, BLEND + corner, iy, :w]
-        trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, line)
-        for c in range(3):
-            place(line, 3 * side + c, 6, trust)
+                guided_row(found[3 + c], guide[c], guide[3], side, 2, found[c])
+            encode_sharp(found[c], total, soft, fine[0, SHARPEN + corner, iy])
+    interleave(rows[:3], rows[channels:], current)
+    for side in range(2):  # in the rows of sums, which are done with
+        kept = rows[2 * channels + side]
+        kept[:] = fine[0, BLEND + 2 * lower + side, iy, :w]
+        trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, kept)
+    repeat_three(total, line, trust)
 
 
 @compiled
@@ -345,7 +367,8 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
         for i in range(3):
             gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
     double = is_doubled(window)
-    corners, rows = np.empty((2, w), np.float32), np.empty((channels + 3, w if double else width), np.float32)
+    corners = np.empty((2, w), np.float32)
+    rows = np.empty((2 * channels + 2, w) if double else (channels + 3, width), np.float32)
     column, soft = np.empty((channels, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
     current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
     share = np.empty(w, np.float32)
