@@ -25,7 +25,8 @@ test: $(VENV)/installed-dev
 docs: $(VENV)/installed-docs
 	$(BIN)/python -m pytest -q tests/test_words.py tests/test_site.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
-	@if command -v npm >/dev/null; then $(MAKE) --no-print-directory page && cp -r build/page build/site/try; fi
+	if command -v npm >/dev/null; then \
+	    $(MAKE) page && $(BIN)/python -m pytest -q tests/web && cp -r build/page build/site/try; fi
 	@echo "build/site/index.html"
 
 # The page in the browser, in build/page: static files only. ONNX Runtime Web and three.js come from the npm registry.

@@ -41,7 +41,7 @@ PATIENCE = 1200
 NO_TESTS = 5
 """Exit code of pytest where no test was to be run."""
 COPIED = ("postfx", "tests", "training", "docs", "samples", "pyproject.toml", "README.md", "Makefile", "LICENSE",
-          "NOTICE", "constraints.txt")
+          "NOTICE", "constraints.txt", "web", "hosts", "mkdocs.yml", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
 LINKED = ("models",)
 
 
