@@ -3,7 +3,7 @@
 const CHANNELS = { colour: 3, diffuse_albedo: 3, specular_albedo: 3, normal: 3, roughness: 1, depth: 1, motion: 2 };
 const ABSENT = { roughness: 0.5, depth: 1 }; // and 0: what stands for a plane that a frame lacks
 const MISS = 1e10;
-// Metering: see postfx/exposure/metering.py.
+// Metering: see postfx/exposure/__init__.py.
 const [KEY, BLACK, RANGE_EV, BLOCK, MOST_BLOCKS, LIMIT_EV] = [0.18, 2 ** -24, 9, 8, 160, 16];
 
 /** ONNX Runtime on the GPU where the browser has WebGPU, else on the CPU; and which of both. */
