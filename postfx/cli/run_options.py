@@ -238,10 +238,10 @@ DENOISING = Section("denoising and size", (
     Option(flag="--strength", metavar="S", type=float, sets="denoiser.strength", excludes=_FOR_DENOISER,
            help="of denoising, 0 (only resample) to 1 (fully), times the plane 'strength' if there is one "
            "(default: 1)"),
-    Option(flag="--motion", choices=("auto", "file", "estimate"), default="file", off="file", sets="sequence.motion",
+    Option(flag="--motion", choices=("auto", "file", "estimate"), default="auto", off="auto", sets="sequence.motion",
            excludes=_FOR_DENOISER,
-           help="motion vectors: file, as they are there (default); auto, estimated of albedo, normal and depth where "
-           "files have none, or zeros although the planes move; estimate, always"),
+           help="motion vectors: auto, those of the files, estimated from albedo, normal and depth where files have "
+           "none, or zeros although the picture moves (default); file, of the files alone; estimate, always"),
     Option(flag="--clamp-fireflies", metavar="N", type=float, sets="sequence.clamp_fireflies", excludes=_FOR_DENOISER,
            help="before denoising, darken pixels more than N times (such as 8) as bright as the third brightest of the "
            "24 around them; the run says how much light that took"),

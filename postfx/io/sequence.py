@@ -165,7 +165,10 @@ class Sequence:
         if self.motion == FILE:
             return []
         before = self.before(number, 1)
-        return [] if before and self.begins_shot(number) else before
+        if not before or self.begins_shot(number):
+            return []
+        with self.open(number) as files:
+            return before if files.lacks_motion else []
 
     def after(self, number: int, count: int) -> list[int]:
         """Up to `count` frames that follow a frame without a hole between them, on the disk and in order."""

@@ -264,7 +264,9 @@ def providers_of(placement: Placement, exclusive: bool) -> list[Any]:
         return [(placement.provider, dict(placement.asked.options))] + [CPU] * (placement.provider != CPU)
     if placement.provider == CPU:
         return [CPU]
-    options = {"device_id": str(placement.index), "prefer_nhwc": "1", "fuse_conv_bias": "1"}
+    options = {"prefer_nhwc": "1", "fuse_conv_bias": "1"}
+    if placement.index:  # 0 is the default; since ONNX Runtime 1.26 naming it prints a warning
+        options["device_id"] = str(placement.index)
     if placement.stream:
         options["user_compute_stream"] = str(placement.stream)
     return [(placement.provider, options)] + [CPU] * (not exclusive)

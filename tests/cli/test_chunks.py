@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from postfx.cli.chunks import describe_job
@@ -78,12 +79,17 @@ def test_chunks_of_two_shots(six):
     assert list(parts) == [Chunk((1, 2), (), (3,)), Chunk((3, 4), (1, 2), (5,)), Chunk((5, 6))]
 
 
-def test_a_chunk_names_the_frame_that_motion_is_estimated_from(six, monkeypatch):
-    shot = Sequence(str(six / "in/shot.####.exr"), motion="auto")
+def test_a_chunk_names_the_frame_that_motion_is_estimated_from(write_exr, tmp_path, monkeypatch):
+    flat = np.ones((4, 6), np.float32)
+    for number in range(1, 7):
+        planes = {name: flat for name in ("R", "G", "B", "albedo.R", "albedo.G", "albedo.B")}
+        write_exr(f"without.{number}.exr", planes)
+        write_exr(f"with.{number}.exr", planes | {"motion.X": flat, "motion.Y": flat})
     monkeypatch.setattr("postfx.runs.schedule.find_preroll", lambda sequence, number: find_preroll(sequence, number, 1))
-    assert [chunk.reads for chunk in make_chunks(shot, 2)] == [(1, 2), (1, 2, 3, 4), (5, 6)]
-    assert [chunk.reads for chunk in make_chunks(Sequence(str(six / "in/shot.####.exr")), 2)] == [
-        (1, 2), (2, 3, 4), (5, 6)]
+    for name, motion, first in (("without", "auto", 1), ("with", "estimate", 1), ("with", "auto", 2),
+                                ("without", "file", 2)):
+        shot = Sequence(str(tmp_path / f"{name}.#.exr"), motion=motion)
+        assert [chunk.reads[0] for chunk in make_chunks(shot, 2)] == [1, first, first + 2], (name, motion)
 
 
 def test_what_does_not_join_is_said(postfx, noise):

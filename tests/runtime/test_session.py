@@ -7,6 +7,7 @@ import onnxruntime as ort
 import pytest
 
 from postfx.runtime import Device, Library, ModelError, session
+from postfx.runtime.session import Placement, providers_of
 from postfx.system import models_dir
 
 WINDOW = {"height": 16, "width": 32}
@@ -132,3 +133,9 @@ def test_weights_in_other_files_are_not_kept(folder, tmp_path):
               location="apart.bin", size_threshold=4096)
     state = Device("cpu").pipeline_state(Library(tmp_path), "apart", WINDOW)
     assert state.bindings and not folder.exists()
+
+
+def test_the_first_gpu_is_not_named() -> None:
+    """ONNX Runtime prints a warning for every session whose options name a device of a provider that is no plug-in."""
+    first, second = (providers_of(Placement("CUDAExecutionProvider", "cuda", index, 1), False) for index in (0, 1))
+    assert "device_id" not in first[0][1] and second[0][1]["device_id"] == "1"
