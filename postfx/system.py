@@ -44,10 +44,12 @@ def private_folder(name: str) -> Path | None:
     """A folder that nobody else may write to, since what lies there is run: in the user's cache, else with the
     temporary files; None where neither can be had."""
     owner = getattr(os, "getuid", getpass.getuser)()
-    from platformdirs import user_cache_path  # machines that only train do without
+    bases = [Path(tempfile.gettempdir()) / f"postfx-{owner}"]
+    with suppress(ImportError):  # machines that only train do without
+        from platformdirs import user_cache_path
 
-    cache = user_cache_path("postfx", appauthor=False)
-    for base in (cache, Path(tempfile.gettempdir()) / f"postfx-{owner}"):
+        bases.insert(0, user_cache_path("postfx", appauthor=False))
+    for base in bases:
         folder = base / name
         try:
             base.parent.mkdir(parents=True, exist_ok=True)

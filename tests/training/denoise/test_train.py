@@ -317,5 +317,6 @@ def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
     absent = (*sorted(needed), "colour", "mitsuba")
     assert {"platformdirs", "OpenImageIO", "onnxruntime"} <= set(absent)
     program = f"import sys; sys.modules.update(dict.fromkeys({absent})); import training.denoise.train"
-    program += "; import postfx.temporal.reverse_motion"  # which --both-ways imports when it makes a batch
+    program += "; from postfx.temporal.reverse_motion import invert_motion as run"  # makes motion for --carry
+    program += "; import numpy as np; run(np.zeros((4, 4, 2), np.float32), *np.ones((2, 4, 4, 1), np.float32))"
     subprocess.run([sys.executable, "-c", program], check=True)
