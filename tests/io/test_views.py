@@ -305,6 +305,7 @@ def test_verbs_that_look_at_one_view(tmp_path: Path, capfd) -> None:
 
 
 def test_a_report_shows_all_views(tmp_path: Path) -> None:
+    pytest.importorskip("flip_evaluator")
     write_apart(tmp_path)
     page = tmp_path / "page.html"
     assert run(tmp_path, "in.%V.####.exr", "out.%V.####.exr", "--report", str(page), "--reference",
