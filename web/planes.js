@@ -10,7 +10,7 @@ const MAGIC = 20000630;
 const [MULTI_PART, DEEP] = [16, 8];
 const [UINT, FLOAT] = [0, 2];
 const PIZ = 4; // the loader takes all its channels for one type
-const DWA = [8, 9]; // compressions that read meaning from a channel's name
+const DWA = [8, 9]; // and these it cannot read where a file has more channels than colour
 
 // Plane -> names of its layer, best first, its letters, and what its numbers are multiplied by. "" is no layer.
 const PLANES = {
@@ -138,13 +138,11 @@ function alike(part, names) {
 
 function decode(buffer, parts, index, names) {
   const { compression, channels } = parts[index];
+  if (DWA.includes(compression)) throw new Error("DWA cannot be read here: save the file as ZIP");
   if (compression === PIZ && !alike(parts[index], channels.map(({ name }) => name))) {
     throw new Error("PIZ of half and float channels in one part cannot be read here: save the file as ZIP");
   }
   const letters = names.length === 3 ? ["R", "G", "B"] : ["Y"];
-  if (DWA.includes(compression) && names.some((name, i) => name.split(".").pop() !== letters[i])) {
-    throw new Error(`${names.join(", ")}: DWA cannot be read here except for R, G and B: save the file as ZIP`);
-  }
   const loader = new EXRLoader();
   loader.type = FloatType;
   loader.outputFormat = letters.length === 3 ? RGBAFormat : RedFormat;
@@ -157,8 +155,7 @@ function renamed(buffer, parts, index, names) {
   const bytes = new Uint8Array(buffer), { at, size, sizeAt } = parts[index].attributes.channels;
   const list = [];
   parts[index].channels.forEach(({ name, type, rest }, i) => {
-    const ending = DWA.includes(parts[index].compression) ? `.${name.split(".").pop()}` : "";
-    list.push(...new TextEncoder().encode(names.get(name) ?? `x${i}${ending}`), 0);
+    list.push(...new TextEncoder().encode(names.get(name) ?? `x${i}`), 0);
     list.push(type === UINT ? FLOAT : type, 0, 0, 0, ...rest); // of four bytes either way
   });
   list.push(0);
