@@ -183,9 +183,9 @@ def _roles_unread(overlay: str) -> tuple[Role, ...]:
 
 def _find_network(tag: str) -> str:
     """A denoiser's file, or its tag; ModelError that lists all for any other word."""
-    from postfx.passes.denoise.models import FILE, find_model, model_of
+    from postfx.passes.denoise.models import CLASSIC, FILE, find_model, model_of
 
-    if not tag.endswith(FILE):
+    if not tag.endswith(FILE) and tag != CLASSIC:
         library, name = find_model(model_of(tag))
         library.path(name)
     return tag
@@ -214,7 +214,8 @@ DENOISING = Section("denoising and size", (
     Option(flag="--model", basic=True, metavar="TAG|FILE", sets="denoiser.model", convert=_find_network,
            excludes=_FOR_DENOISER,
            help="network of the denoiser: s, m (default) or l, in the device's fast precision or in a given one, e.g. "
-           "m.fp32 ('postfx models' lists all); or FILE.onnx with its card beside it"),
+           "m.fp32 ('postfx models' lists all); FILE.onnx with its card beside it; or classic, a filter without a "
+           "network"),
     Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,

@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
-import onnxruntime as ort
 
 from postfx.errors import CaptureError, CommandError, ModelError
 from postfx.runtime.encoders import Barrier, ConsumerBarrier, Dispatch, EncoderBarrier, Record
 from postfx.runtime.heap import Heap
 from postfx.runtime.memory import Ranges
-from postfx.runtime.session import Placement, first_line, providers_of, session_options
+from postfx.runtime.session import Placement, first_line, ort, providers_of, session_options
 from postfx.runtime.snapshot import (
     MOST_SLICES,
     NODE_PICTURES,

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import onnxruntime as ort
 
 from postfx.errors import BindingError, DeviceError, ModelError, PostfxError
 from postfx.runtime.capture import Capture
@@ -26,7 +25,7 @@ from postfx.runtime.heap import Heap
 from postfx.runtime.memory import CUDA, HOST, HOST_KINDS, HostMemory, Immediate, Memory, address, borrow, byte_span
 from postfx.runtime.model_file import fix_dimensions
 from postfx.runtime.models import Library
-from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, parse_provider
+from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, ort, parse_provider
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, size_in_bytes
 from postfx.runtime.threads import CommandQueue, Helpers, Slots
@@ -234,6 +233,11 @@ class Device:
             self._compute_states[kernel] = self._make_state(kernel)
         return self._compute_states[kernel]
 
+    @property
+    def runs_rows(self) -> bool:
+        """Whether kernels run as compiled rows, so that those without another form run, too."""
+        return self._compiled and self.memory.host_visible
+
     def command_buffer(self, label: str, captured: bool = True) -> CommandBuffer:
         """A new, empty command buffer. An active capture records it if `captured`."""
         return CommandBuffer(self, label, captured)
@@ -277,7 +281,7 @@ class Device:
     def _make_state(self, kernel: Kernel) -> State:
         if self._compiled and isinstance(self.memory, CudaMemory) and (source := find_source(kernel)):
             return CudaComputeState(self, kernel, self.memory, source)
-        if self._compiled and self.memory.host_visible:
+        if self.runs_rows:
             return CompiledComputeState(self, kernel)
         return self._portable_state(kernel)
 

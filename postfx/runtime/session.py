@@ -20,12 +20,33 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import onnxruntime as ort
 
 from postfx.errors import DeviceError, ModelError
 from postfx.files import atomic_file, parse_json
 from postfx.runtime.tensor import Tensor, element_type
 from postfx.system import private_folder, usable_memory
+
+__all__ = ["CPU", "Placement", "Provider", "Session", "find_provider", "first_line", "ort", "parse_provider",
+           "providers_of", "session_options"]
+
+
+class _Missing:
+    """Stands for ONNX Runtime where it cannot be imported: kernels run, networks are an error."""
+
+    __version__ = "missing"
+
+    def __getattr__(self, name: str) -> Any:
+        raise DeviceError("networks need the package onnxruntime: install it, or denoise without a network by "
+                          "--model classic, with --no-tonemap")
+
+    def get_available_providers(self) -> list[str]:
+        return []
+
+
+try:
+    import onnxruntime as ort
+except ImportError:
+    ort = _Missing()
 
 CONSTANTS = "postfx.constants"
 """Key of a model's metadata under which `training.export` puts outputs that no node makes, which some execution

@@ -97,14 +97,15 @@ def test_times_at_the_edge_of_the_budget_do_not_make_it_swing() -> None:
 
 def test_costs_are_those_of_the_precision() -> None:
     names = ("denoise_upscale.m", "denoise_upscale.m.guides", "denoise_upscale.m.int8.guides", "denoise_upscale.m.1x",
-             "denoise_upscale.m.int8.1x", "denoise_upscale.mine")
-    assert [cost(name) for name in names] == [3.5, 3.5, 2.1, 3.5, 2.1, 1.0]
+             "denoise_upscale.m.int8.1x", "denoise_upscale.mine", "classic")
+    assert [cost(name) for name in names] == [3.5, 3.5, 2.1, 3.5, 2.1, 1.0, 0.5]
 
 
 def test_families() -> None:
-    assert family("l") == ("s", "m", "l")
-    assert family("m.int8") == ("s.int8", "m.int8")
+    assert family("l") == ("classic", "s", "m", "l")
+    assert family("m.int8") == ("classic", "s.int8", "m.int8")
     assert family("mine") == ("mine",)
+    assert family("classic") == ("classic",)
 
 
 @pytest.mark.parametrize("budget", [0, -3])

@@ -21,6 +21,7 @@ from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain
 from postfx.passes.denoise.history import Cameras, History, PartHistory, can_follow
 from postfx.passes.denoise.inputs import ABSENT, passthrough_roles
 from postfx.passes.denoise.models import (
+    CLASSIC,
     GUIDED,
     UNSCALED,
     Ladder,
@@ -55,11 +56,12 @@ class DenoiseUpscale(Pass):
             on.
         model: tag of the network, 's', 'm' or 'l', which runs in the device's fast precision, or with one: 'm.fp32',
             'm.int8' for the CPU, 'm.fp16' for CUDA; or the file of your own network, 'nets/mine.onnx', with its card
-            beside it, and mine.guides.onnx and mine.1x.onnx if they exist.
+            beside it, and mine.guides.onnx and mine.1x.onnx if they exist; or 'classic', a filter without a network,
+            on a CPU and for frames without parts.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its variants are; None for the
             networks that come with postfx.
         budget: milliseconds that a frame may take on the device, None for no limit: networks smaller than `model`, of
-            its precision ('s' below 'm', 's' and 'm' below 'l'), take turns with it; the history goes on.
+            its precision ('s' below 'm', 's' and 'm' below 'l') and 'classic' take turns with it; the history goes on.
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength` sets
             it pixel by pixel, and both are multiplied; no network runs where it is 0.
         parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part` for those that are
@@ -109,6 +111,8 @@ class DenoiseUpscale(Pass):
         self._cameras = Cameras()
         own = Library(Path(library).expanduser()) if isinstance(library, str | Path) else library
         self._tag = validate_tag(str(model), own)
+        if self._tag == CLASSIC and self._parts:
+            raise PassOptionError("model 'classic' filters no parts: give a network, or no parts")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         carried = passthrough_roles(spec)
@@ -144,7 +148,8 @@ class DenoiseUpscale(Pass):
         if self.strength:
             models, size = self._models(spec), self._output_size(spec)
             self._tags, costs = tuple(models), list(map(cost, models.values()))
-            self._ladder = Ladder(costs, self.budget) if self.budget else None
+            first = int(len(models) > 1 and self._tags[0] == CLASSIC)
+            self._ladder = Ladder(costs, self.budget, first) if self.budget else None
             if self.size:  # so that files of a frame are the same wherever a run begins
                 endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
                 tags = self._tags_for(spec)
@@ -185,6 +190,8 @@ class DenoiseUpscale(Pass):
     def _tags_for(self, spec: FrameSpec) -> tuple[str, ...]:
         """Tags to choose from for frames of a spec, fastest first; one without a budget."""
         smaller = family(self._tag)[:-1] if self.budget else ()
+        if self._parts or not self._device.runs_rows:  # it filters no parts, and has no other form
+            smaller = tuple(tag for tag in smaller if tag != CLASSIC)
         return (*(tag for tag in smaller if has_model(model_of(tag, self._ending(spec)))), self._tag)
 
     def _ending(self, spec: FrameSpec) -> str:
@@ -270,9 +277,12 @@ class DenoiseUpscale(Pass):
         if ready.reflections:
             change = self._cameras.step(frame, keep and not still, savings.note_unfollowed)
             planes = ready.reflections.encode(commands, frame, change, planes)
-        layers, written = ready.layers.begin(commands, frame, planes, params, keep) if ready.layers else ([], {})
+        filtered = ready.layers if self._used != CLASSIC else None
+        if ready.layers and not filtered:  # alpha is only resampled
+            ready.layers.skip()
+        layers, written = filtered.begin(commands, frame, planes, params, keep) if filtered else ([], {})
         colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
-        own_runs = ready.layers.own_runs(frame, planes, params, keep) if ready.layers else ()
+        own_runs = filtered.own_runs(frame, planes, params, keep) if filtered else ()
         for name, seen, own_params, output in own_runs:
             ready.own[name].use(ready.models[self._used])
             own_still = still and own_params[GAIN] == params[GAIN]
@@ -282,8 +292,8 @@ class DenoiseUpscale(Pass):
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
         if ready.strength:
             colour = ready.strength.encode(commands, frame, colour, rows, savings.note_unblended)
-        if ready.layers:
-            ready.layers.finish(commands, frame, denoised, colour, ready.restore, ready.strength, rows)
+        if filtered:
+            filtered.finish(commands, frame, denoised, colour, ready.restore, ready.strength, rows)
         return colour
 
     def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray | None:
@@ -327,7 +337,7 @@ class DenoiseUpscale(Pass):
         return bool(set(spec.guide_roles) & set(GUIDE_ROLES)) and self._reads_guides(spec)
 
     def _has_guided_model(self) -> bool:
-        return has_model(model_of(self._tag, GUIDED))
+        return self._tag != CLASSIC and has_model(model_of(self._tag, GUIDED))
 
     def _is_render_size(self, spec: FrameSpec) -> bool:
         return self._output_size(spec) == (spec.height, spec.width)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import partial
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,8 @@ from postfx.kernels.denoise.reactive import SPREAD_MASK
 from postfx.passes.denoise.history import History, PartHistory, Reflections, can_follow
 from postfx.passes.denoise.inputs import Passthrough, Planes, Reactive
 from postfx.passes.denoise.layers import Layer, LayerGraph
-from postfx.passes.denoise.models import grid_of
+from postfx.passes.denoise.models import CLASSIC, grid_of
+from postfx.passes.denoise.network import ClassicGraph
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.output import Plain, Restore, Strength
 from postfx.passes.denoise.parts import Layers
@@ -157,6 +159,13 @@ def _put_together(targets: Mapping[str, Tensor]) -> tuple[str, ...]:
     return (*CHANNELS, *(name for name in targets if name.startswith(("light ", "next_part "))))
 
 
+class Graphs(NamedTuple):
+    """What is ready to run on windows of one size."""
+
+    networks: LayerGraph | None
+    classic: ClassicGraph | None
+
+
 MOST_GRAPHS = 4
 """Most window sizes, beside the whole frame's, that are kept ready."""
 CLOSE = 1.15
@@ -177,7 +186,7 @@ class Frames:
         self._device, self._sizes, self._models = device, sizes, tuple(models)
         self._guided, self._reactive = guided, reactive
         self._halo = halo_of(models)
-        self._graphs: LRUCache[Shape, LayerGraph] = LRUCache(MOST_GRAPHS)
+        self._graphs: LRUCache[Shape, Graphs] = LRUCache(MOST_GRAPHS)
         self._bands = bands_within(device.scratch, sizes, models)
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
         self._window = Window.whole(sizes)
@@ -275,8 +284,14 @@ class Frames:
             self._encode_window(commands, graph, tile.window, {**seen, **slot}, True, masked, layers)
         self._assembly.encode(commands, band, targets, kept)
 
-    def _encode_window(self, commands: CommandBuffer, graph: LayerGraph, window: Window, tensors: Mapping[str, Tensor],
+    def _encode_window(self, commands: CommandBuffer, graphs: Graphs, window: Window, tensors: Mapping[str, Tensor],
                        moves: bool, masked: bool, layers: Sequence[Layer]) -> None:
+        if self.model == CLASSIC:
+            assert graphs.classic is not None  # as made for this model
+            graphs.classic.encode(commands, window, tensors, masked)
+            return
+        graph = graphs.networks
+        assert graph is not None
         graph.encode(commands, window, self.model, tensors, moves, masked)
         if layers:
             graph.encode_layers(commands, window, self.model, tensors, masked, layers)
@@ -290,8 +305,11 @@ class Frames:
         self._graphs.get_or_make(shape, partial(self._graph_of, shape))
         return shape
 
-    def _graph_of(self, shape: Shape) -> LayerGraph:
-        return LayerGraph(self._device, Window(self._sizes, 0, 0, *shape), self._models, self._guided, self._reactive)
+    def _graph_of(self, shape: Shape) -> Graphs:
+        window, networks = Window(self._sizes, 0, 0, *shape), [name for name in self._models if name != CLASSIC]
+        return Graphs(
+            LayerGraph(self._device, window, networks, self._guided, self._reactive) if networks else None,
+            ClassicGraph(self._device, window, self._reactive) if len(networks) < len(self._models) else None)
 
 
 class Ready:

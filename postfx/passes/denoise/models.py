@@ -16,6 +16,8 @@ EXACT, FILE = ".fp32", ".onnx"
 GUIDED, UNSCALED = ".guides", ".1x"
 SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has the render size"}
 """Endings of the names of networks that are chosen automatically, and when."""
+CLASSIC = "classic"
+"""Tag, and name in place of a model, of the classical filter, which runs without a network."""
 STAND_INS = {"l": "m"}
 """Networks without a variant for the render size, and the network whose variant is taken there, as it is better."""
 
@@ -52,7 +54,7 @@ def validate_tag(model: str, library: Library | None = None) -> str:
         if not path.is_file():
             raise ModelError(f"model '{model}': no such file: 'postfx models' lists those that need none")
         return str(path.absolute())
-    if library is None:
+    if library is None or model == CLASSIC:
         return model
     if library.trust:
         raise PassOptionError(f"the denoised upscaler takes no networks on trust: give it {library.folders[0]} alone")
@@ -99,6 +101,8 @@ def _stand_in(tag: str) -> str:
 
 
 def _named(tag: str, ending: str, device: Device | None) -> str:
+    if tag == CLASSIC:
+        return CLASSIC
     if tag.endswith(FILE):
         return f"{tag.removesuffix(FILE)}{ending}{FILE}"
     folder, slash, tag = tag.rpartition("/")
@@ -113,9 +117,9 @@ def _named(tag: str, ending: str, device: Device | None) -> str:
 
 
 def has_model(model: str) -> bool:
-    """Whether a model exists."""
+    """Whether a model exists; the classical filter always does."""
     library, name = find_model(model)
-    return name in library.names()
+    return model == CLASSIC or name in library.names()
 
 
 def grid_of(models: Iterable[str]) -> int:
@@ -147,14 +151,15 @@ def load_network(device: Device, model: str, dims: Mapping[str, int]) -> Pipelin
 
 def name_models(device: Device, models: Iterable[str]) -> None:
     """Announce these models, if they exist, as ones that may run later."""
-    for model in set(filter(has_model, models)):
+    for model in set(filter(has_model, models)) - {CLASSIC}:
         device.name_model(*find_model(model))
 
 
-FAMILY = {"s": 1.0, "m": 3.5, "l": 5.0}
-"""Networks by size, fastest first, and about how many times as long as the first each takes in float32."""
+FAMILY = {CLASSIC: 0.5, "s": 1.0, "m": 3.5, "l": 5.0}
+"""The classical filter and networks by size, fastest first, and about how many times as long as 's' each takes in
+float32."""
 
-FAST = {"s": 1.0, "m": 2.1, "l": 2.8}
+FAST = {CLASSIC: 0.5, "s": 1.0, "m": 2.1, "l": 2.8}
 """The same in integers or half precision."""
 
 ROOM = 0.85
@@ -174,17 +179,20 @@ TOO_LONG = 2
 
 
 def family(tag: str) -> tuple[str, ...]:
-    """Tags up to this one, fastest first, of its precision: 'm.int8' -> 's.int8', 'm.int8'. Other tags stand alone."""
+    """Tags up to this one, fastest first, of its precision: 'm.int8' -> 'classic', 's.int8', 'm.int8'. Other tags stand
+    alone, and so do those of other libraries."""
     folder, slash, word = tag.rpartition("/")
     size, dot, precision = word.partition(".")
-    if size not in FAMILY or tag.endswith(FILE):
+    if size not in FAMILY or tag.endswith(FILE) or tag == CLASSIC:
         return (tag,)
     sizes = list(FAMILY)[: list(FAMILY).index(size) + 1]
-    return tuple(f"{folder}{slash}{smaller}{dot}{precision}" for smaller in sizes)
+    return tuple(one if one == CLASSIC else f"{folder}{slash}{one}{dot}{precision}" for one in sizes)
 
 
 def cost(model: str) -> float:
     """About how long a model 'denoise_upscale.m.int8' takes against the others of its family."""
+    if model == CLASSIC:
+        return FAST[CLASSIC]
     _, size, *rest = f"{find_model(model)[1]}..".split(".")
     known = FAST if {"int8", "fp16"} & set(rest) else FAMILY
     return known.get(size, 1.0)
@@ -196,18 +204,19 @@ class Ladder:
     Args:
         costs: about how long each rung takes, in any unit, fastest first; only their ratios count.
         budget: milliseconds that a frame may take.
+        first: the rung to start at.
 
     Attributes:
-        rung: what to run next. It starts at the fastest.
+        rung: what to run next.
     """
 
-    def __init__(self, costs: Sequence[float], budget: float) -> None:
-        self.rung = 0
+    def __init__(self, costs: Sequence[float], budget: float, first: int = 0) -> None:
+        self.rung = first
         self._costs, self._budget = tuple(costs), budget
         self._patience = PATIENCE
         self._time = 0.0
         self._frames = self._over = self._fits = 0
-        self._go(0)
+        self._go(first)
 
     def note_time(self, milliseconds: float) -> None:
         """Tell how long the last frame took; a rung's first frame is not counted, since it prepares what later ones

@@ -1,4 +1,4 @@
-"""What runs for one window of a frame: a network, and the kernels around it."""
+"""What runs for one window of a frame: a network and the kernels around it, or the classical filter."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import FEATURES, FINE, GUIDES, TRUST_CELL
+from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.guides import GUIDE, TRUST
 from postfx.kernels.denoise.network_io import (
@@ -402,3 +403,67 @@ def _places(window: Window) -> dict[str, dict[str, np.ndarray]]:
         places[f"mix {i}"] = dict(zip(("coarse_rows", "coarse_columns"), window.coarser(i), strict=True))
         places[f"pool {i + 1}"] = dict(zip(("finer_rows", "finer_columns"), window.finer(i + 1), strict=True))
     return places
+
+
+class ClassicGraph:
+    """Tensors and argument tables of the classical filter for windows of one size, used like a `Graph` of networks.
+
+    It reads and writes the same history, but filters no layers beside the picture, and reads no guides.
+    """
+
+    def __init__(self, device: Device, window: Window, reactive: bool = False) -> None:
+        self._device = device
+        rows, columns = window.rows, window.columns
+        new = device.heap.transient
+        made = {"moved": new("moved", (rows, columns, 2)),
+                "factor": new("factor", (rows, columns, 3)), "surface": new("surface", (6, rows, columns)),
+                **({"keep": new("keep", (rows, columns, 1))} if reactive else {})}
+        lights = [new(f"light {k}", (4, rows, columns)) for k in range(2)]
+        self._made = made
+        kernels = {"dilate": DILATE, **({"keep": KEEP} if reactive else {}), "gather": GATHER, "resolve": RESOLVE}
+        self._tables = {name: ArgumentTable(device.compute_state(kernel)) for name, kernel in kernels.items()}
+        self._order: list[str] = []
+        for k, step in enumerate(STEPS):
+            name = f"a-trous {step}"
+            self._order.append(name)
+            far = self._given("step", np.full(1, step, np.float32))
+            self._tables[name] = ArgumentTable(device.compute_state(ATROUS), {
+                "light": lights[k % 2], "smooth": lights[1 - k % 2], "step": far})
+        self._ends = {"gather": lights[0], "resolve": lights[len(STEPS) % 2]}
+        self._places: dict[Window, dict[str, Tensor]] = {}
+
+    def encode(self, commands: CommandBuffer, window: Window, tensors: Mapping[str, Tensor], masked: bool) -> None:
+        """Record the work on a window; the arguments are those of `Graph.encode`."""
+        known = {**tensors, **self._made, **self._place(window)}
+        known["keep"] = self._made["keep"] if masked else tensors["keep"]
+        for name, table in self._tables.items():
+            seen = {**known, "light": self._ends[name]} if name in self._ends else known
+            fixed = ("light", "smooth", "step") if name in self._order else ()
+            if name == "keep" and not masked:
+                continue
+            for binding in table.state.bindings:
+                if binding.name not in fixed:
+                    table[binding.name] = seen[binding.name]
+        stages = [("prepare", [["dilate"], ["keep"] * masked, ["gather"]]),
+                  ("filter", [[name] for name in self._order]), ("upsample", [["resolve"]])]
+        for label, steps in stages:
+            with commands.compute_encoder(label) as encoder:
+                encoder.barrier(after=("compute", "machine-learning"), before="compute")
+                for k, names in enumerate(filter(None, steps)):
+                    if k:
+                        encoder.barrier()
+                    for name in names:
+                        encoder.dispatch(self._tables[name].state, self._tables[name])
+
+    def _place(self, window: Window) -> dict[str, Tensor]:
+        """Tensors that describe a window to the kernels, by binding."""
+        if window not in self._places:
+            if len(self._places) == MOST_PLACES:
+                self._places.clear()
+            self._places[window] = {name: self._given(name, array) for name, array in window.places().items()}
+        return self._places[window]
+
+    def _given(self, name: str, array: np.ndarray) -> Tensor:
+        tensor = self._device.heap.tensor(name, array.shape)
+        tensor.upload(array)
+        return tensor

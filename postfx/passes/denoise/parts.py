@@ -149,6 +149,12 @@ class Layers:
             whole.frames = max(whole.frames, 1)  # the picture is its history where it does not run
         return runs, targets
 
+    def skip(self) -> None:
+        """Begin a frame in which no layer runs."""
+        self._history.turn()
+        for name, layer in self._history.layers.items():
+            layer.skip(shared=name in self._places)
+
     def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
                  keep: bool) -> Iterator[tuple[str, dict[str, Tensor], np.ndarray, Tensor]]:
         """What the network itself runs on in this frame: name, planes, params, and where the output goes."""

@@ -155,7 +155,7 @@ def _mirrored(count: int, held: int) -> np.ndarray:
     return places
 
 
-HALOS, GUIDED_HALO = {"s": 72, "m": 44, "l": 48}, 104
+HALOS, GUIDED_HALO = {"classic": 40, "s": 72, "m": 44, "l": 48}, 104
 """Render pixels that a network must see around active ones so that the result differs by less than 1e-3 from that of
 the whole frame: by model size, the largest for other models, and for models that read guides. docs/lab/denoiser.md
 lists the differences."""
@@ -240,6 +240,8 @@ def halo_of(models: Iterable[str]) -> int:
 def _halo(model: str) -> int:
     if model.removesuffix(".onnx").endswith(".guides"):
         return GUIDED_HALO
+    if model in HALOS:
+        return HALOS[model]
     size = "" if "/" in model else model.split(".")[1]  # of other libraries, nothing was measured
     return HALOS.get(size, max(HALOS.values()))
 

@@ -1,0 +1,108 @@
+"""The classical filter: clean, steady, the same in windows, within a budget, and without ONNX Runtime."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import postfx
+from postfx.errors import PassOptionError
+from postfx.frame import Frame, Role
+from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.models import CLASSIC
+from postfx.pipeline import Pipeline
+from postfx.runtime import Device
+from tests.passes.denoise_frames import flat, noisy
+
+ROOM = Path(__file__).parents[2] / "samples" / "room"
+
+
+def shown(colour: np.ndarray) -> np.ndarray:
+    return np.sqrt(colour / (1 + colour))
+
+
+def run(frames: list[Frame], device: Device | None = None, **options: object) -> list[np.ndarray]:
+    upscaler = DenoiseUpscale(**{"model": CLASSIC, **options})
+    chain = Pipeline([upscaler], device or Device("cpu", threads=2), exposure=0.0)
+    return [chain(frame)[Role.COLOUR].copy() for frame in frames]
+
+
+def with_strength(frame: Frame, mask: np.ndarray) -> Frame:
+    return replace(frame, planes={**frame.planes, Role.STRENGTH: mask.astype(np.float32)})
+
+
+def test_it_is_far_better_than_the_input_and_the_history_helps() -> None:
+    frames = list(postfx.read_sequence(ROOM / "noisy.####.exr"))[:5]
+    wanted = shown(list(postfx.read_sequence(ROOM / "reference.####.exr"))[4][Role.COLOUR])
+    alone = [replace(frame, reset=True) for frame in frames[4:]]
+    plain, first, last = (10 * np.log10(1 / np.mean((shown(found[-1]) - wanted) ** 2)) for found in
+                          (run(frames[4:], strength=0), run(alone), run(frames)))
+    assert first > plain + 8 and last > first + 0.5, (plain, first, last)
+
+
+def test_a_picture_of_one_colour_stays_as_it_is() -> None:
+    for size in ((24, 40), (1, 1), (17, 3)):
+        for found in run([flat(number, 0.7, *size, jitter=(0.3, -0.2)) for number in (1, 2, 3)], scale=1.5):
+            np.testing.assert_allclose(found, 0.7, rtol=1e-5)
+
+
+def test_what_is_no_number_stays_where_it_is() -> None:
+    frames = [noisy(number) for number in (1, 2, 3)]
+    for role in (Role.COLOUR, Role.NORMAL, Role.DEPTH, Role.MOTION):
+        frames[0].planes[role][5, 7] = np.nan
+        frames[1].planes[role][20, 9] = np.inf
+    clean = [noisy(number) for number in (1, 2, 3)]
+    for found, wanted in zip(run(frames), run(clean), strict=True):
+        assert np.isfinite(found).all() and found.min() >= 0
+        assert found.max() < 1.5 * wanted.max()
+
+
+def test_a_window_is_as_the_whole_frame() -> None:
+    """Around a mask, and in tiles of a memory budget; also where the history was."""
+    height, width = 160, 256
+    mask = np.zeros((height, width, 1))
+    mask[80:90, 100:120] = 1
+    frames = [noisy(number, height, width) for number in (1, 2, 3)]
+    whole = run(frames)[-1][164:176, 204:236]
+    found = run([with_strength(frame, mask) for frame in frames])[-1][164:176, 204:236]
+    np.testing.assert_allclose(shown(found), shown(whole), atol=2e-3)
+
+
+def test_tiles_within_a_memory_budget_are_as_the_whole_frame() -> None:
+    frames = [noisy(number, 540, 960) for number in (1, 2)]
+    found, whole = run(frames, Device("cpu", threads=2, memory="640M"), scale=1.5), run(frames, scale=1.5)
+    np.testing.assert_allclose(shown(found[-1]), shown(whole[-1]), atol=2e-3)
+
+
+def test_it_runs_where_no_network_fits_the_budget_and_the_history_goes_on() -> None:
+    upscaler = DenoiseUpscale(budget=0.01)
+    chain, chosen = Pipeline([upscaler], Device("cpu", threads=2), exposure=0.0), []
+    for number in range(1, 7):
+        chain(flat(number, 0.7))
+        chosen.append(upscaler.choice())
+    assert chosen[:3] == ["s"] * 3 and chosen[-1] == CLASSIC
+    history = upscaler.history()
+    assert history["next_state"][..., 3].min() > 3 and f"network {CLASSIC}" in history
+
+
+def test_parts_need_a_network() -> None:
+    with pytest.raises(PassOptionError, match="filters no parts: give a network"):
+        DenoiseUpscale(model=CLASSIC, parts=("key",))
+
+
+def test_it_needs_no_onnx_runtime(tmp_path: Path) -> None:
+    """The command line runs without it, and says what is missing where a network is asked for."""
+    code = ("import sys\nsys.modules['onnxruntime'] = None\nfrom postfx.cli.main import main\n"
+            "sys.exit(main(sys.argv[1:]))")
+    command = [sys.executable, "-c", code, "run", str(ROOM / "noisy.0001.exr"), "--frames", "1", "--no-tonemap"]
+    made = subprocess.run([*command, "--model", CLASSIC, "-o", str(tmp_path / "a.####.exr")], capture_output=True,
+                          text=True)
+    assert made.returncode == 0, made.stderr
+    assert (tmp_path / "a.0001.exr").stat().st_size > 10000
+    refused = subprocess.run([*command, "-o", str(tmp_path / "b.####.exr")], capture_output=True, text=True)
+    assert refused.returncode and "onnxruntime" in refused.stderr and "--model classic" in refused.stderr
