@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from postfx.io.writer import write_frame
     from postfx.passes.composite import BothWays, Overlay
     from postfx.passes.denoise import DenoiseUpscale
+    from postfx.passes.denoise.options import RenderSize
     from postfx.passes.tonemap import ToneMap
     from postfx.pipeline import Pipeline
     from postfx.runtime import Device, Library
@@ -47,6 +48,7 @@ _HOMES = {
     "PostfxError": "postfx.errors",
     "ROLES": "postfx.frame",
     "Role": "postfx.frame",
+    "RenderSize": "postfx.passes.denoise.options",
     "RunUp": "postfx.temporal.reverse_order",
     "Sequence": "postfx.io.sequence",
     "ToneMap": "postfx.passes.tonemap",
@@ -70,6 +72,7 @@ __all__ = [
     "Pipeline",
     "PostfxError",
     "ROLES",
+    "RenderSize",
     "Role",
     "RunUp",
     "Sequence",

@@ -22,6 +22,7 @@ PUBLIC = [
     "Pipeline",
     "PostfxError",
     "ROLES",
+    "RenderSize",
     "Role",
     "RunUp",
     "Sequence",

@@ -126,6 +126,20 @@ def test_what_windows_take_is_measured():
     assert "ms a window =" in run("window_cost.py", "--width", "480", "--height", "272", "--runs", "1", "--model", "s")
 
 
+def test_the_classical_filter_is_between_the_input_and_a_network(tmp_path):
+    told = run("classic.py", str(tmp_path / "a.png"))
+    later = {name: float(found) for name, found in re.findall(r"(?m)^(\w+) +[\d.]+ +([\d.]+) ", told)}
+    assert later["plain"] + 8 < later["classic"] < later["s"]
+    assert (tmp_path / "a.png").stat().st_size > 100000
+
+
+@pytest.mark.skipif(find_spec("matplotlib") is None, reason="postfx-render[bench] is not installed")
+def test_a_renderer_keeps_to_a_frame_time(tmp_path):
+    told = run("render_size.py", str(tmp_path / "a.png"), "--size", "96x54", "--frames", "6", "--time", "10000")
+    assert re.findall(r"(?m)^frame .* (\d+x\d+) ", told)[::5] == ["32x18", "96x54"]
+    assert (tmp_path / "a.png").stat().st_size > 5000
+
+
 def test_small_networks_are_timed_beside_torch() -> None:
     pytest.importorskip("torch")
     told = run("neural_speed.py", "--widths", "8", "--threads", "1", "--points", "100", "--runs", "1", "--eager")
@@ -197,5 +211,5 @@ def test_every_script_is_run_here():
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
-             "irradiance_network.py", "planes.py"}
+             "irradiance_network.py", "planes.py", "classic.py", "render_size.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

@@ -214,8 +214,8 @@ DENOISING = Section("denoising and size", (
     Option(flag="--model", basic=True, metavar="TAG|FILE", sets="denoiser.model", convert=_find_network,
            excludes=_FOR_DENOISER,
            help="network of the denoiser: s, m (default) or l, in the device's fast precision or in a given one, e.g. "
-           "m.fp32 ('postfx models' lists all); FILE.onnx with its card beside it; or classic, a filter without a "
-           "network"),
+           "m.fp32 ('postfx models' lists all); or FILE.onnx with its card beside it. The word classic filters without "
+           "a network"),
     Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,

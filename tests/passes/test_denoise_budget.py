@@ -10,6 +10,7 @@ from postfx.frame import Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.frame import Frames
 from postfx.passes.denoise.models import Ladder, cost, family
+from postfx.passes.denoise.options import RenderSize
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import noisy
@@ -106,6 +107,33 @@ def test_families() -> None:
     assert family("m.int8") == ("classic", "s.int8", "m.int8")
     assert family("mine") == ("mine",)
     assert family("classic") == ("classic",)
+
+
+def test_the_render_size_follows_the_time_of_a_frame() -> None:
+    """Where most of a frame's time goes with its pixels, and some does not; first frames of a size take twice as long.
+    In the middle a frame is three times as heavy."""
+    random, chosen, sizes = np.random.default_rng(0), RenderSize((1920, 1080), 200), []
+    taken = []
+    for number in range(300):
+        before = sizes[-1] if sizes else None
+        sizes.append(chosen.choose())
+        load = 3 if 100 <= number < 200 else 1
+        now = (30 + 170e-6 * load * sizes[-1][0] * sizes[-1][1]) * random.uniform(0.95, 1.05)
+        taken.append(now)
+        chosen.note_time(now if sizes[-1] == before else 2 * now)
+    assert chosen.sizes[0] == (640, 360) and chosen.sizes[-1] == (1920, 1080)
+    for first in (0, 100, 200):
+        settled = taken[first + 30:first + 100]
+        assert max(settled) < 240 and 100 < np.median(settled) <= 200, (first, settled)
+        assert switches([width for width, _ in sizes[first + 30:first + 100]]) <= 8
+    assert 900 <= sizes[60][0] <= 1180 and 640 <= sizes[160][0] <= 720
+
+
+@pytest.mark.parametrize("given", [
+    {"least": 0.2}, {"most": 1.5}, {"least": 0.9, "most": 0.5}, {"count": 0}, {"milliseconds": 0}])
+def test_impossible_render_sizes_are_errors(given: dict[str, float]) -> None:
+    with pytest.raises(PassOptionError, match="give "):
+        RenderSize(**{"size": (1920, 1080), "milliseconds": 100, **given})
 
 
 @pytest.mark.parametrize("budget", [0, -3])

@@ -205,13 +205,15 @@ class Ladder:
         costs: about how long each rung takes, in any unit, fastest first; only their ratios count.
         budget: milliseconds that a frame may take.
         first: the rung to start at.
+        most_patience: frames in a row at most that must allow a slower rung which was too slow before.
 
     Attributes:
         rung: what to run next.
     """
 
-    def __init__(self, costs: Sequence[float], budget: float, first: int = 0) -> None:
-        self.rung = first
+    def __init__(self, costs: Sequence[float], budget: float, first: int = 0,
+                 most_patience: int = MOST_PATIENCE) -> None:
+        self.rung, self._most_patience = first, most_patience
         self._costs, self._budget = tuple(costs), budget
         self._patience = PATIENCE
         self._time = 0.0
@@ -236,7 +238,7 @@ class Ladder:
     def _decide(self, milliseconds: float) -> None:
         if self._over >= TOO_LONG and self.rung:
             self._time = milliseconds
-            self._patience = min(2 * self._patience, MOST_PATIENCE)
+            self._patience = min(2 * self._patience, self._most_patience)
             self._go(min(self.rung - 1, self._best(self._budget)))
         elif self._fits >= self._patience:
             self._go(self._best(ROOM * self._budget))

@@ -1,4 +1,5 @@
-"""What the options of the denoised upscaler mean: the output's size, and how the reactive mask is made."""
+"""What the options of the denoised upscaler mean: the output's size, the render's within a frame time, and how the
+reactive mask is made."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from typing import NamedTuple
 
 from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import FrameSpec, GuideSpec, Role
+from postfx.passes.denoise.models import Ladder
 
 LEAST, MOST, USUAL = 1.0, 3.0, 2.0
 ASPECT = 0.01
@@ -86,6 +88,53 @@ def _guided(spec: FrameSpec, guides: GuideSpec, scale: float | None, scaled: Siz
         found = f"guides are {guides.width}x{guides.height}, the colour is {spec.width}x{spec.height}"
         raise GuideError(f"{guides.source or 'frame'}: {found}: {fix}")
     return Size(guides.height, guides.width)
+
+
+PATIENT = 8
+"""Frames in a row at most that must allow a larger render size; the history goes on, unlike between networks."""
+
+
+class RenderSize:
+    """Chooses the size to render the next frame at, so that frames take the wanted time.
+
+    The pass has the option `size` and its history goes on when frames change their size, so a renderer may ask for a
+    size before every frame and tell afterwards how long all of it took.
+
+    Args:
+        size: width and height of the output.
+        milliseconds: that a frame may take, rendering and post-processing.
+        least, most: render size over output size, 1/3 to 1.
+        count: how many sizes there are, evenly between the two; each is prepared once.
+        fixed: share of a frame's time at `most` that does not depend on the render size.
+
+    Attributes:
+        sizes: (width, height) to choose from, smallest first.
+
+    Raises PassOptionError for an impossible size, time or range.
+    """
+
+    def __init__(self, size: Sequence[int], milliseconds: float, least: float = 1 / MOST, most: float = 1.0,
+                 count: int = 9, fixed: float = 0.2) -> None:
+        if not 1 / MOST <= least <= most <= 1 or count < 1 or not 0 <= fixed < 1:
+            raise PassOptionError(f"render sizes from {least:g} to {most:g} of the output in {count} steps: give a range "
+                                  "within 1/3 and 1, and 1 step or more")
+        if not milliseconds > 0:
+            raise PassOptionError(f"a frame cannot take {milliseconds:g} ms: give a time above 0")
+        whole = validate_size(size, None)
+        assert whole is not None  # as a size is given
+        shares = [most - (most - least) * step / max(count - 1, 1) for step in reversed(range(count))]
+        self.sizes = [(max(round(share * whole.width), -(-whole.width // int(MOST))),
+                       max(round(share * whole.height), -(-whole.height // int(MOST)))) for share in shares]
+        parts = [width * height / (self.sizes[-1][0] * self.sizes[-1][1]) for width, height in self.sizes]
+        self._ladder = Ladder([fixed + (1 - fixed) * part for part in parts], milliseconds, most_patience=PATIENT)
+
+    def choose(self) -> tuple[int, int]:
+        """Width and height to render the next frame at."""
+        return self.sizes[self._ladder.rung]
+
+    def note_time(self, milliseconds: float) -> None:
+        """Tell how long the frame of the last choice took. A first frame of a size does not count."""
+        self._ladder.note_time(milliseconds)
 
 
 SOURCES = {"auto": (Role.REACTIVE, Role.OPAQUE_COLOUR), "plane": (Role.REACTIVE,),
