@@ -15,8 +15,7 @@ frame, and a network's from this.
 
 import numpy as np
 
-from postfx.kernels.denoise.features import recall_row
-from postfx.kernels.denoise.layout import (
+from postfx.kernels.denoise import (
     EXPOSURE,
     GAIN,
     HEIGHT,
@@ -37,6 +36,7 @@ from postfx.kernels.denoise.layout import (
     WIDTH,
     kernel,
 )
+from postfx.kernels.denoise.features import recall_row
 from postfx.kernels.denoise.reactive import kept_row
 from postfx.kernels.denoise.upsample import gauss, pixel_of, place, weigh_picked, weigh_three
 from postfx.kernels.numeric import Real, add, clamp, compiled, demodulation, exp, expm1, fused, log_encode

@@ -116,8 +116,8 @@ class RenderSize:
     def __init__(self, size: Sequence[int], milliseconds: float, least: float = 1 / MOST, most: float = 1.0,
                  count: int = 9, fixed: float = 0.2) -> None:
         if not 1 / MOST <= least <= most <= 1 or count < 1 or not 0 <= fixed < 1:
-            raise PassOptionError(f"render sizes from {least:g} to {most:g} of the output in {count} steps: give a range "
-                                  "within 1/3 and 1, and 1 step or more")
+            raise PassOptionError(f"render sizes from {least:g} to {most:g} of the output in {count} steps: give a "
+                                  "range within 1/3 and 1, and 1 step or more")
         if not milliseconds > 0:
             raise PassOptionError(f"a frame cannot take {milliseconds:g} ms: give a time above 0")
         whole = validate_size(size, None)
