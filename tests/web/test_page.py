@@ -24,7 +24,7 @@ from postfx.frame import Frame, Role
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, SAMPLE = ROOT / "build/page", ROOT / "samples/room/noisy.0006.exr"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-SECONDS = 30
+SECONDS, GPU_SECONDS = 60, 600
 DROP = """
 const file = await (await fetch("/given.exr")).arrayBuffer(), data = new DataTransfer();
 data.items.add(new File([file], "given.exr"));
@@ -118,8 +118,8 @@ class Server(http.server.SimpleHTTPRequestHandler):
         pass
 
 
-def in_chromium(script: str, files: dict[str, Path], folder: Path, ask: str = "") -> dict:
-    """What a script tells that runs on the page."""
+def in_chromium(script: str, files: dict[str, Path], folder: Path, gpu: bool = False) -> dict:
+    """What a script tells that runs on the page; with `gpu` by WebGPU, on a GPU that the CPU imitates."""
     if CHROMIUM is None or not PAGE.is_dir():
         pytest.skip("needs chromium, and the page: make page")
     heard, done = [], threading.Event()
@@ -133,11 +133,13 @@ def in_chromium(script: str, files: dict[str, Path], folder: Path, ask: str = ""
     handler = partial(Server, script=script, files=files, told=told)
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as one:
         threading.Thread(target=one.serve_forever, daemon=True).start()
-        command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'chromium'}",
-                   "--remote-debugging-port=0", f"http://127.0.0.1:{one.server_address[1]}/{ask}"]
+        flags = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader"] if gpu else ["--disable-gpu"]
+        command = [CHROMIUM, "--headless", "--no-sandbox", *flags, f"--user-data-dir={folder / 'chromium'}",
+                   "--remote-debugging-port=0",
+                   f"http://127.0.0.1:{one.server_address[1]}/{'?on=webgpu' if gpu else ''}"]
         browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            assert done.wait(SECONDS), "the page told nothing"
+            assert done.wait(GPU_SECONDS if gpu else SECONDS), "the page told nothing"
         finally:
             browser.terminate()
             browser.wait()
@@ -150,14 +152,24 @@ def test_a_dropped_file_is_denoised_and_shown(tmp_path):
     assert "320x180 to 640x360" in told["status"] and told["picture"] == [640, 360], told
     assert "motion.X, motion.Y" in told["planes"] and "not there" not in told["planes"]
     assert all(name.startswith("http://127.0.0.1:") for name in told["loaded"])  # nothing comes from elsewhere
-    picture = tmp_path / "picture.0001.png"
-    picture.write_bytes(b64decode(told["png"]))
-    frame = frame_of(SAMPLE)
-    passes = [postfx.DenoiseUpscale(scale=2, model="s.fp32"), postfx.ToneMap()]
-    wanted = postfx.Pipeline(passes)(frame)[Role.COLOUR]
+    assert_it_is_the_passes_picture(told["png"], tmp_path)
+
+
+@pytest.mark.soak
+def test_webgpu_shows_the_same(tmp_path):
+    told = in_chromium(DROP, {"given.exr": SAMPLE}, tmp_path, gpu=True)
+    runtimes = {name.rsplit("/", 1)[1] for name in told["loaded"] if name.endswith(".min.mjs")}
+    assert runtimes == {"ort.webgpu.min.mjs"}, told["status"]  # it did not fall back to the CPU
+    assert_it_is_the_passes_picture(told["png"], tmp_path)
+
+
+def assert_it_is_the_passes_picture(png: str, folder: Path) -> None:
+    """The page's picture is the one that the passes make, but for the rounding to 8 bits and of the last bits."""
     image = pytest.importorskip("PIL.Image")
-    shown = np.asarray(image.open(picture).convert("RGB")) / np.float32(255)
-    error = np.abs(shown - wanted)
+    (folder / "picture.png").write_bytes(b64decode(png))
+    wanted = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model="s.fp32"), postfx.ToneMap()])(frame_of(SAMPLE))
+    shown = np.asarray(image.open(folder / "picture.png").convert("RGB")) / np.float32(255)
+    error = np.abs(shown - wanted[Role.COLOUR])
     assert error.max() < 4 / 255 and error.mean() < 0.5 / 255
 
 
