@@ -72,8 +72,10 @@ def without_middle(noisy: Frame, middle: Frame | None, picture: Frame, first: bo
         motion = motion + np.where(same, onwards, motion)
     times = picture[Role.COLOUR].shape[0] // h
     larger = {role: plane.repeat(times, 0).repeat(times, 1)
-              for role, plane in ((Role.MOTION, motion * times), (Role.DEPTH, depth))}
-    return Frame({Role.COLOUR: picture[Role.COLOUR], **larger}, number=picture.number, reset=first)
+              for role, plane in ((Role.MOTION, motion * times), (Role.DEPTH, depth),
+                                  (Role.SPECULAR_HIT_DISTANCE, noisy.planes.get(Role.SPECULAR_HIT_DISTANCE)))
+              if plane is not None}
+    return Frame({Role.COLOUR: picture[Role.COLOUR], **larger}, number=picture.number, reset=first, fov_x=noisy.fov_x)
 
 
 def moved(picture: np.ndarray, motion: np.ndarray) -> np.ndarray:

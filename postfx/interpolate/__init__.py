@@ -28,7 +28,7 @@ from postfx.frame import Frame, Role
 from postfx.interpolate.blend import compose, find_overlay, is_finite, is_same_plane, join_cells
 from postfx.interpolate.choose import MARGIN, choose_paths, fill_holes, measure_detail, merge_sides, misfits, tone_rows
 from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, halve
-from postfx.interpolate.paths import Paths, gather_cells, paths_of, rank_paths, splat_paths
+from postfx.interpolate.paths import Paths, gather_cells, motion_of_reflections, paths_of, rank_paths, splat_paths
 from postfx.sampling import local_sum
 from postfx.system import usable_cores
 from postfx.temporal.reverse_motion import invert_motion
@@ -270,6 +270,17 @@ class Between:
         ahead, back = _at_once([lambda: self._enlarge(found[0]), lambda: self._enlarge(found[1])])
         return ahead, back
 
+    @cached_property
+    def _mirrored(self) -> np.ndarray:
+        """Motion of what the frame after reflects, for cells, in pixels; empty where nothing tells of it."""
+        needed = (Role.MOTION, Role.DEPTH, Role.SPECULAR_HIT_DISTANCE)
+        if not all(role in self.after for role in needed):
+            return np.empty((0, 0, 2), np.float32)
+        motion, depth = self._cells_of(self.after)
+        length = _finite(self.after[Role.SPECULAR_HIT_DISTANCE])[::self._scale, ::self._scale]
+        found: np.ndarray = self._scale * motion_of_reflections(motion, depth, length, self.after.fov_x)
+        return found
+
     def _enlarge(self, motion: np.ndarray) -> np.ndarray:
         """Motion of a smaller picture for cells: in pixels of the picture if they were that of cells."""
         return enlarge_motion(motion, *self._grid)
@@ -335,8 +346,8 @@ class Between:
                 side[..., :4] -= shift / np.float32(self._scale)
         fill_holes(own, np.minimum(near, far))
         cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
-        _in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows, t,
-                  self._scale, self._noise, cells)
+        _in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows,
+                  self._mirrored, t, self._scale, self._noise, cells)
         _in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, cells)
         _in_bands(self._grid[0], join_cells, cells)
         return cells

@@ -28,7 +28,7 @@ ROWS = 6
 OTHER = np.float32(0.3)
 """Pixels by which paths must differ to be worth a comparison."""
 BETTER = np.float32(1.5)
-"""How many times as well another path must fit to be taken."""
+"""How many times as well another path must fit to be taken; one of a cell beside, by the misfit of noise more."""
 UNSEEN, UNSEEN_NOISE = np.float32(0.12), np.float32(2)
 """What stands for the misfit of a path that cannot be compared: a part that is fixed, and a multiple of the noise's."""
 TRUSTED = np.float32(0.5)
@@ -233,23 +233,25 @@ def differ(one: Path, other: Path) -> bool:
 @compiled
 def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
                  known_after: np.ndarray, own: np.ndarray, first: np.ndarray, last: np.ndarray, ahead: np.ndarray,
-                 back: np.ndarray, t: Real, scale: int, noise: Real, cells: np.ndarray) -> None:
+                 back: np.ndarray, mirrored: np.ndarray, t: Real, scale: int, noise: Real, cells: np.ndarray) -> None:
     """The path of each cell (rows, columns, 8): its own, or another one around it or of the flow that fits much better;
     the last two numbers are left.
 
     before, after: toned, flat, with margins. known: (h, w), False under overlays. own: (rows, columns, 6).
     first, last: both sides, whose paths around a cell are tried. ahead, back: (rows, columns, 2) flow of both frames to
-    the other one, in pixels, or empty. scale: pixels of a cell. noise: misfit of paths that are right.
+    the other one, in pixels, or empty. mirrored: likewise of what the frame after reflects, to the one before. scale:
+    pixels of a cell. noise: misfit of paths that are right.
     """
     h, w = own.shape[:2]
     unseen = UNSEEN + UNSEEN_NOISE * noise
     steps, middle, time = STEPS.shape[0], np.float32(0.5 * (scale - 1)), np.float32(t)
     around, size = 2 * steps, np.float32(scale)
-    count = around + 2 if ahead.size else around
+    flowing = around + 2 if ahead.size else around
+    count = flowing + 1 if mirrored.size else flowing
     for y in range(y0, y1):
         for x in range(w):
             mine, v, u = path_of(own, y, x), scale * y + middle, scale * x + middle
-            taken, tried, is_seen = mine, mine, False
+            taken, tried, is_seen, margin = mine, mine, False, ZERO
             best = np.float32(-2)  # not looked at yet: many cells have no other path around them
             for k in range(count):
                 if k < around:
@@ -257,6 +259,12 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
                     if not (0 <= j < h and 0 <= i < w):
                         continue
                     path = side_path(first if k < steps else last, k // steps, size, j, i)
+                elif k == flowing:
+                    path = path_by(mirrored, y, x, time, time - ONE)
+                    if path[0] == path[0]:  # there, the motion is that of the place to which the path leads
+                        j = min(max(int(y + path[3] / size + np.float32(0.5)), 0), h - 1)
+                        i = min(max(int(x + path[2] / size + np.float32(0.5)), 0), w - 1)
+                        path = path_by(mirrored, j, i, time, time - ONE)
                 elif k == around:
                     path = path_by(ahead, y, x, -time, ONE - time)
                 else:
@@ -264,6 +272,7 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
                 if path[0] != path[0] or not (differ(path, taken) and differ(path, tried)):
                     continue
                 tried = path
+                margin = noise if k < around else margin
                 if best < -ONE:
                     best = misfit(before, after, known_before, known_after, v, u, mine)
                     is_seen = 0 <= best < TRUSTED * unseen
@@ -275,7 +284,7 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
                 fits = 0 <= fit < TRUSTED * unseen
                 if not fits and (fit < 0 or path[4] + path[5] < 2):
                     fit = unseen
-                if BETTER * fit + noise < best:
+                if BETTER * fit + margin < best:
                     best, taken, is_seen = fit, path, fits
             if is_seen:
                 taken = taken[0], taken[1], taken[2], taken[3], ONE, ONE

@@ -11,11 +11,13 @@ Lagrange's polynomial through three or four places.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from postfx.frame import DEPTH_MISS
+from postfx.io.convert import centre_positions, fit_camera
 from postfx.kernels.numeric import Real, add_eight, compiled, inline, load_eight, store_eight
 from postfx.temporal.reverse_motion import LOST
 
@@ -27,8 +29,13 @@ SEEN = np.float32(1)
 """Pixels by which motion to the other frame and back may miss."""
 COVERS = np.float32(0.9)
 """Share of a depth below which what is seen is something else, in front."""
-SPRUNG = np.float32(0.5)
-"""Bend, as a share of the motion, from which a path is no curve but a jump: it is taken as straight."""
+POINTS, LEAST_POINTS, FITTING = 2000, 64, 0.4
+"""Points that the fit of a camera takes, the least that it needs, and the least share that it must explain."""
+SPRUNG, TURNED = np.float32(0.5), np.float32(1.1)
+"""Bend, as a share of the motion, from which a path is no curve but a jump and is taken as straight; likewise where it
+bends the same way before and after, as what turns does, by 60 degrees a frame at most."""
+ROUND = np.float32(0.7)
+"""Relative difference of both bends up to which they are the same way."""
 
 
 @dataclass
@@ -119,6 +126,42 @@ def rank_paths(one: np.ndarray, other: np.ndarray, motion: np.ndarray, rank: np.
             rank[y, x, 0] = 1 + (abs(one[y, x] - other[int(v), int(u)]) if inside else np.float32(1))
 
 
+def motion_of_reflections(motion: np.ndarray, depth: np.ndarray, length: np.ndarray, fov_x: float | None) -> np.ndarray:
+    """Motion (h, w, 2) of what flat mirrors show; NaN where there is no mirror, all of it where no camera is found.
+
+    A mirror's image lies along the view ray, as far behind the mirror as the reflected point is from it, and moves like
+    any point at rest: as the camera that fits the motion of surfaces (`convert.fit_camera`).
+
+    Args:
+        motion, depth: (h, w, 2) and (h, w, 1).
+        length: (h, w, 1) from a surface to what it reflects; 0 or less where there is nothing.
+        fov_x: horizontal field of view in degrees, by which depth is told from distance; None if unknown.
+    """
+    h, w = depth.shape[:2]
+    found = np.full((h, w, 2), np.nan, np.float32)
+    is_mirror = (length[..., 0] > 0) & (depth[..., 0] < DEPTH_MISS)
+    some = np.zeros((h, w), bool)
+    step = max(1, round(math.sqrt(depth.size / POINTS)))
+    some[::step, ::step] = True
+    rows, columns = np.nonzero(some & (depth[..., 0] < DEPTH_MISS) & np.isfinite(motion[..., 0]))
+    if not is_mirror.any() or rows.size < LEAST_POINTS:
+        return found
+    median = float(np.median(depth[rows, columns]))
+    now = centre_positions(rows, columns, h, w)
+    camera, _, _, share = fit_camera(now, now[:, :2] + motion[rows, columns].astype(float) / w,
+                                     median / depth[rows, columns, 0].astype(float), 1 / w)
+    if share < FITTING:
+        return found
+    rows, columns = np.nonzero(is_mirror)
+    now = centre_positions(rows, columns, h, w)
+    ahead = np.ones(rows.size) if not fov_x else 1 / np.hypot(1, np.hypot(now[:, 0], now[:, 1])
+                                                              * 2 * math.tan(math.radians(fov_x) / 2))
+    beyond = depth[rows, columns, 0] + length[rows, columns, 0].astype(float) * ahead
+    place = np.append(camera[:8], 1).reshape(3, 3) @ now.T + camera[8:, None] * (median / beyond)
+    found[rows, columns] = ((place[:2] / place[2]).T - now[:, :2]) * w
+    return found
+
+
 @inline
 def is_touched(back: np.ndarray, depth: np.ndarray, v: Real, u: Real, fx: Real, fy: Real, z: Real) -> bool:
     """Whether one of the four pixels around a place, where a motion led, shows something nearer that does not lead
@@ -152,12 +195,15 @@ def lead_back(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, d
             if same and not is_touched(ahead, depth_before, v - half, u - half, mx, my, depth_after[y, x, 0]):
                 seen[y, x] = 1
             bx, by, count = np.float32(0), np.float32(0), 0
+            ax, ay = np.float32(0), np.float32(0)
             if came.size and same:
                 bx, by, count = came[j, i, 0] - mx, came[j, i, 1] - my, 1
             if goes.size and goes[y, x, 0] < LOST:
+                ax, ay = goes[y, x, 0] + mx - bx, goes[y, x, 1] + my - by
                 bx, by, count = bx + goes[y, x, 0] + mx, by + goes[y, x, 1] + my, count + 1
-            most = SPRUNG * (abs(mx) + abs(my))
-            if count and abs(bx) + abs(by) <= most * count:
+            size = abs(bx) + abs(by)
+            is_round = count == 2 and abs(ax) + abs(ay) <= ROUND * size  # on both sides it bends the same way
+            if count and size <= (TURNED if is_round else SPRUNG) * (abs(mx) + abs(my)) * count:
                 bend[y, x, 0], bend[y, x, 1] = half * bx / count, half * by / count
 
 

@@ -1,6 +1,6 @@
 """Render the eight sequences by which frames between frames are judged: what is hard about them, and nothing else.
 
-    python -m training.datagen.between --out DIR [--only NAME,NAME] [--variant llvm_ad_rgb] [--samples 64] [--frames 9]
+    python -m training.datagen.between --out DIR [--only NAME,NAME] [--variant llvm_ad_rgb] [--samples 36] [--frames 9]
 
 Each becomes a folder that samples/between_frames.py reads: reference.####.exr, the pictures, and noisy.####.exr, the
 same pictures with motion, depth, normals and hit distances of one ray a pixel. Planes are of solid surfaces; what moves
@@ -21,7 +21,7 @@ import numpy as np
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.integrate import rigid_previous_positions, write_planes
 
-WIDTH, HEIGHT, FOV = 320, 180, 55.0
+WIDTH, HEIGHT, FOV, LIGHT_SAMPLES = 320, 180, 55.0, 8
 Thing = tuple[dict, np.ndarray]
 """A shape's description without its place, and its transform to the world (4, 4), column vectors."""
 
@@ -147,18 +147,18 @@ def sparks(t: float) -> Moment:
     """Glowing particles without vectors, in an arc over the scene."""
     rng, glow = np.random.default_rng(41), {}
     for k in range(60):
-        born, speed = rng.uniform(-6, 9), rng.uniform((-0.2, 0.1, -0.1), (0.2, 0.3, 0.1))
-        age = t - born
-        at = np.array([0, 0.6, 0.8]) + speed * age - np.array([0, 0.012 * age * age, 0])
-        light = {"type": "area", "radiance": {"type": "rgb", "value": [60, 25, 6]}}
+        age, speed = t - rng.uniform(-9, 9), rng.uniform((-0.1, 0.05, -0.05), (0.1, 0.15, 0.05))
+        at = np.array([0, 1.0, 0.8]) + speed * age - np.array([0, 0.005 * age * age, 0])
+        light = {"type": "area", "radiance": {"type": "rgb", "value": [60, 25, 6]}, "sampling_weight": 0}
         glow[f"spark{k}*"] = (shape("sphere", plain(0, 0, 0), emitter=light), place(*at, scale=(0.025,) * 3))
     return Moment(EYE, TARGET, room(43) | glow, SKY)
 
 
 def shake(t: float) -> Moment:
-    """A camera that is shaken, in a room with things in it."""
+    """A camera held by a hand that shakes, some eight times in three seconds, in a room with things in it."""
     rng = np.random.default_rng(51)
-    jolts = rng.normal(0, (0.05, 0.05, 0.02, 0.09, 0.09, 0.05), (64, 6))[round(t)]
+    swings = np.sin(2 * np.pi * t / rng.uniform(6, 12, (3, 6)) + rng.uniform(0, 6.3, (3, 6))).sum(0)
+    jolts = swings * (0.04, 0.04, 0.02, 0.08, 0.08, 0.05)
     things = {f"box{k}": (shape("cube", spotted(53 + k)),
                           place(-2 + 1.3 * k, 0.4, 0.8 * (k % 2), scale=(0.4,) * 3, turn=20 * k)) for k in range(4)}
     return Moment(EYE + jolts[:3], TARGET + jolts[3:], room(59) | things, SKY | sun())
@@ -195,6 +195,11 @@ def camera(moment: Moment) -> np.ndarray:
     return np.array(mi.ScalarTransform4f().look_at(list(moment.eye), list(moment.target), [0, 1, 0]).matrix, float)
 
 
+def mirrors_of(moment: Moment) -> set[str]:
+    """Names of things that are mirrors."""
+    return {name for name, (thing, _) in moment.things.items() if thing["bsdf"].get("bsdf") is MIRROR}
+
+
 def load(moment: Moment, in_planes: bool) -> tuple[Any, list[str]]:
     """Mitsuba's scene, and the names of its things in the order of their ids."""
     things = {name.rstrip("*"): thing for name, thing in moment.things.items()
@@ -205,7 +210,10 @@ def load(moment: Moment, in_planes: bool) -> tuple[Any, list[str]]:
               "film": {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "rfilter": {"type": "box"},
                        "pixel_format": "rgb", "component_format": "float32"},
               "sampler": {"type": "independent"}}
-    return mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": 4}, "sensor": sensor, **shapes,
+    # direct light alone has little noise; mirrors show more than that
+    integrator = {"type": "path", "max_depth": 3} if mirrors_of(moment) else \
+        {"type": "direct", "emitter_samples": LIGHT_SAMPLES, "bsdf_samples": 0}
+    return mi.load_dict({"type": "scene", "integrator": integrator, "sensor": sensor, **shapes,
                          **moment.lights}), list(things)
 
 
@@ -242,8 +250,7 @@ def planes_of(moment: Moment, before: Moment) -> dict[Role, np.ndarray]:
     normal = np.array(si.sh_frame.n, float).T.reshape(HEIGHT, WIDTH, 3) * hit[..., None]
     normal *= np.where((normal * rays).sum(-1, keepdims=True) > 0, -1, 1)
     planes = {Role.MOTION: seen_at(previous, before) - here, Role.DEPTH: depth, Role.NORMAL: normal}
-    mirrors = [number for number, name in known.items()
-               if name in names and moment.things[name][0]["bsdf"].get("bsdf", {}).get("type") == "conductor"]
+    mirrors = [number for number, name in known.items() if name in mirrors_of(moment)]
     if mirrors:
         onward = rays - 2 * (rays * normal).sum(-1, keepdims=True) * normal
         start = points + 1e-3 * normal
@@ -262,10 +269,11 @@ def render(folder: Path, sequence: Callable[[float], Moment], frames: int, sampl
             continue
         moment, before = sequence(float(number)), sequence(float(number - 1))
         scene, _ = load(moment, in_planes=False)
-        colour = np.array(mi.render(scene, spp=samples, seed=number), np.float32)
+        count = 4 * samples if mirrors_of(moment) else samples
+        colour = np.array(mi.render(scene, spp=count, seed=number), np.float32)
         planes = planes_of(moment, before)
         write_planes(folder / f"reference.{number:04d}.exr", Frame({Role.COLOUR: colour}, number=number))
-        write_planes(folder / f"noisy.{number:04d}.exr", Frame({Role.COLOUR: colour, **planes}, number=number))
+        write_planes(folder / f"noisy.{number:04d}.exr", Frame({Role.COLOUR: colour, **planes}, number=number, fov_x=FOV))
 
 
 def main() -> None:
@@ -273,7 +281,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder for a folder of each sequence")
     parser.add_argument("--only", help="these sequences, comma-separated")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba variant")
-    parser.add_argument("--samples", type=int, default=64, help="a pixel")
+    parser.add_argument("--samples", type=int, default=36, help="a pixel; four times as many where there are mirrors")
     parser.add_argument("--frames", type=int, default=9)
     arguments = parser.parse_args()
     mi.set_variant(arguments.variant)
