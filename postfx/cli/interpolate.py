@@ -112,7 +112,8 @@ CRYPTOMATTE = "cryptomatte/"
 
 @dataclass
 class Summary:
-    """What became of a sequence: reasons by the numbers of new frames, and PSNR in dB by number."""
+    """What became of a sequence: reasons by the numbers of new frames, PSNR in dB by number, and counts of the time that
+    passes in the picture from one new frame to the next, in frames of the input: a repeated one has passed none."""
 
     kept: int = 0
     made: int = 0
@@ -120,6 +121,7 @@ class Summary:
     repeated: dict[int, str] = field(default_factory=dict)
     skipped: dict[int, str] = field(default_factory=dict)
     psnr: dict[int, float] = field(default_factory=dict)
+    intervals: dict[float, int] = field(default_factory=dict)
 
 
 class Interpolation:
@@ -158,7 +160,7 @@ class Interpolation:
 
     def run(self) -> Iterator[tuple[int, str]]:
         """Write all frames; yields number and reason of those that are repeated or left out."""
-        begin = time.perf_counter()
+        begin, last = time.perf_counter(), None
         for count, moment in enumerate(self._moments):
             frame, reason = self._make(moment)
             if frame is None:
@@ -166,6 +168,11 @@ class Interpolation:
             else:
                 frame = self._blur(frame, moment) if self._arguments.shutter and not reason else frame
                 self._write(frame, count)
+                shown = moment.start + (moment.t >= 0.5 if reason else moment.t)
+                if last is not None:
+                    interval = round(shown - last, 4)
+                    self.summary.intervals[interval] = self.summary.intervals.get(interval, 0) + 1
+                last = shown
                 self._compare(frame, moment)
                 if reason:
                     self.summary.repeated[moment.number] = reason
@@ -188,6 +195,8 @@ class Interpolation:
                  f"time     {found.seconds:.1f} s, {found.seconds / max(found.made, 1):.2f} s a new frame"]
         lines += [f"repeated {len(found.repeated)} frames"] * bool(found.repeated)
         lines += [f"left out {len(found.skipped)} frames"] * bool(found.skipped)
+        passed = ", ".join(f"{interval:g} ({count})" for interval, count in sorted(found.intervals.items()))
+        lines.append(f"motion   goes on by so many frames of {self._sequence.pattern} (so often): {passed}")
         if found.psnr:
             mean = sum(found.psnr.values()) / len(found.psnr)
             lines.append(f"PSNR     {mean:.2f} dB, mean of {len(found.psnr)} new frames against the reference")

@@ -113,6 +113,51 @@ def test_what_turns_goes_round_and_not_along_the_chord():
     assert errors["bent"] < 0.3 * errors["straight"]
 
 
+def test_what_turns_fast_goes_round_if_both_frames_beside_tell_so():
+    rim = np.hypot(*(np.indices((96, 96)) - 47.5)) < 44
+    wanted, errors = turning(0.5, 48)[Role.COLOUR], {}
+    for name, later in (("told", turning(2, 48)), ("unknown", None)):
+        found = Between(turning(0, 48), turning(1, 48), later, flow=False).frame(0.5)[Role.COLOUR]
+        errors[name] = np.abs(np.log2(found) - np.log2(wanted))[rim].mean()
+    assert errors["told"] < 0.35 * errors["unknown"]
+
+
+def mirrored(t: float, hit: bool = True) -> Frame:
+    """A floor seen by a camera that moves sideways, and a mirror in it that shows what is as far behind it."""
+    y, x = np.indices((96, 128), np.float64)
+    depth = 2 + 6 * y / 96
+    is_mirror = (np.abs(x - 64) < 30) & (np.abs(y - 48) < 24)
+    depth[is_mirror], length = 3, np.where(is_mirror, 5.0, 0)
+    shift = 30 / np.where(is_mirror, 8, depth)  # pixels a frame of what is seen
+    colour = np.repeat(np.exp(np.sin(0.5 * (x + shift * t)) * np.sin(0.4 * y))[..., None], 3, -1)
+    motion = np.stack([30 / depth, 0 * y], -1)
+    planes = {Role.COLOUR: colour, Role.MOTION: motion, Role.DEPTH: depth[..., None],
+              Role.SPECULAR_HIT_DISTANCE: length[..., None] * hit}
+    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=int(t) + 1)
+
+
+def test_a_mirror_shows_what_moves_behind_it():
+    inside, wanted, errors = np.s_[32:64, 48:80], mirrored(0.5)[Role.COLOUR], {}
+    for hit in (False, True):
+        found = Between(mirrored(0, hit), mirrored(1, hit), flow=False).frame(0.5)[Role.COLOUR]
+        errors[hit] = np.abs(np.log2(found) - np.log2(wanted))[inside].mean()
+    assert errors[True] < 0.2 * errors[False]
+
+
+def test_noise_is_averaged_and_detail_is_kept():
+    """Two noisy frames of stripes: the one between is nearer to the stripes without noise than their mean is."""
+    rng, x = np.random.default_rng(5), np.indices((96, 128))[1]
+    clean = np.repeat(np.where(x < 64, 1.0, 1 + 0.8 * np.sin(1.2 * x))[..., None], 3, -1)
+    still, depth = np.zeros((96, 128, 2), np.float32), np.ones((96, 128, 1), np.float32)
+    frames = [Frame({Role.COLOUR: np.float32(clean * rng.gamma(25, 1 / 25, clean.shape)), Role.MOTION: still,
+                     Role.DEPTH: depth}, number=number) for number in (1, 2)]
+    found = Between(*frames).frame(0.5)[Role.COLOUR]
+    mean = (frames[0][Role.COLOUR] + frames[1][Role.COLOUR]) / 2
+    flat, striped = np.s_[8:-8, 8:56], np.s_[8:-8, 72:-8]
+    assert (found - clean)[flat].std() < 0.6 * (mean - clean)[flat].std()
+    assert (found - clean)[striped].std() < (mean - clean)[striped].std()
+
+
 def test_motion_of_the_frame_after_leads_to_the_new_one(scene):
     found = Between(scene(0), scene(1)).motion_of_after(0.75)
     np.testing.assert_allclose(found, scene(1, step=0.25)[Role.MOTION], atol=1e-5)

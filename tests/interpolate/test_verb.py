@@ -44,6 +44,7 @@ def test_numbers_rates_time_codes_and_planes_of_a_sequence(shot, scene, tmp_path
                  "--reference", str(reference)]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["kept"], found["made"], found["repeated"], found["skipped"]) == (4, 3, {}, {})
+    assert found["intervals"] == {"0.5": 6}
     assert list(found["psnr"]) == ["2", "4", "6"] and min(found["psnr"].values()) > 30
     frames = list(read_sequence(f"{tmp_path}/out/"))
     assert [frame.number for frame in frames] == [1, 2, 3, 4, 5, 6, 7]
@@ -62,6 +63,7 @@ def test_a_cut_repeats_and_a_hole_leaves_out_with_a_reason(shot, tmp_path, capsy
     missing = "frame 2 is missing"
     assert found["skipped"] == {"2": missing, "3": missing, "4": missing}
     assert found["repeated"] == {"6": "repeats frame 4, as another shot begins"}
+    assert found["intervals"] == {"2.0": 1, "1.0": 1, "0.0": 1}, "over the hole, over the cut, and a repeated frame"
     assert "frame 4: frame 2 is missing\n" in told.err
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         f"shot.{number:04d}.exr" for number in (1, 5, 6, 7)]
