@@ -28,6 +28,8 @@ LITTLE = np.float32(1e-3)
 ALIKE, UNSURE, TINY = np.float32(0.05**2), np.float32(0.2), np.float32(1e-6)
 """Relative difference of both frames, squared, from which a path counts less beside others; what stands for it where
 only one frame shows a point; light below which nothing counts."""
+ELSE = np.float32(60)
+"""How many times as bright as in the other frame something is that only one of them shows."""
 Cell: TypeAlias = tuple[Real, Real, Real, Real, Real, Real, Real]
 """A path of a cell, and how sharp the pictures are there."""
 Taps: TypeAlias = tuple[Real, Real, Real, Real]
@@ -104,6 +106,15 @@ def shares_of(first: Real, last: Real, t: Real) -> tuple[Real, Real]:
     share = one / (one + other)
     share = ZERO if share < LITTLE else ONE if share > ONE - LITTLE else share
     return share, ONE - share
+
+
+@inline
+def settle(one: Real, other: Real, first: Real, last: Real) -> tuple[Real, Real]:
+    """Weights of the two frames: all for the nearer one where light differs that much that it is something else, such
+    as a spark, which a mean would show twice."""
+    apart = (min(one, other) > 0) & (max(first, last) > ELSE * max(min(first, last), TINY))
+    nearer = np.float32(one >= other)
+    return (nearer, ONE - nearer) if apart else (one, other)
 
 
 @inline
@@ -196,6 +207,7 @@ def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.
         one, other = shares[x, 0], shares[x, 1]
         a, b, c = cubic_three(before, ((j - 1) * w + i - 1) * 3, 3 * w, down, across, paths[x, 6])
         p, q, r = cubic_three(after, ((m - 1) * w + n - 1) * 3, 3 * w, under, beside, paths[x, 6])
+        one, other = settle(one, other, a + b + c, p + q + r)
         row[x, 0], row[x, 1], row[x, 2] = one * a + other * p, one * b + other * q, one * c + other * r
 
 
@@ -255,6 +267,7 @@ def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray
                     best, shares[x, 0], shares[x, 1] = share, first, last
                     for z in range(7):
                         paths[x, z] = path[z]
+            first, last = settle(first, last, a + b + c, p + q + r)
             red, green, blue = (red + share * (first * a + last * p), green + share * (first * b + last * q),
                                 blue + share * (first * c + last * r))
             whole += share

@@ -31,11 +31,11 @@ COVERS = np.float32(0.9)
 """Share of a depth below which what is seen is something else, in front."""
 POINTS, LEAST_POINTS, FITTING = 2000, 64, 0.4
 """Points that the fit of a camera takes, the least that it needs, and the least share that it must explain."""
-SPRUNG, TURNED = np.float32(0.5), np.float32(1.1)
-"""Bend, as a share of the motion, from which a path is no curve but a jump and is taken as straight; likewise where it
-bends the same way before and after, as what turns does, by 60 degrees a frame at most."""
+SPRUNG = np.float32(0.5)
+"""Bend, as a share of the motion, from which a path is no curve but a jump and is taken as straight."""
 ROUND = np.float32(0.7)
-"""Relative difference of both bends up to which they are the same way."""
+"""Relative difference of the bends before and after up to which a path is a curve in any case: what turns by 70 degrees
+a frame, or swings."""
 
 
 @dataclass
@@ -203,7 +203,7 @@ def lead_back(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, d
                 bx, by, count = bx + goes[y, x, 0] + mx, by + goes[y, x, 1] + my, count + 1
             size = abs(bx) + abs(by)
             is_round = count == 2 and abs(ax) + abs(ay) <= ROUND * size  # on both sides it bends the same way
-            if count and size <= (TURNED if is_round else SPRUNG) * (abs(mx) + abs(my)) * count:
+            if count and (is_round or size <= SPRUNG * (abs(mx) + abs(my)) * count):
                 bend[y, x, 0], bend[y, x, 1] = half * bx / count, half * by / count
 
 

@@ -158,6 +158,18 @@ def test_noise_is_averaged_and_detail_is_kept():
     assert (found - clean)[striped].std() < (mean - clean)[striped].std()
 
 
+@pytest.mark.parametrize("t", [0.3, 0.8])
+def test_a_spark_without_vectors_is_shown_once(t):
+    frames = []
+    for number, x in ((1, 30), (2, 50)):
+        colour = np.ones((64, 96, 3), np.float32)
+        colour[30:33, x:x + 3] = 500
+        frames.append(Frame({Role.COLOUR: colour, Role.MOTION: np.zeros((64, 96, 2), np.float32),
+                             Role.DEPTH: np.ones((64, 96, 1), np.float32)}, number=number))
+    found = Between(*frames, flow=False).frame(t)[Role.COLOUR]
+    np.testing.assert_array_equal(found, frames[round(t)][Role.COLOUR], "of the nearer frame")
+
+
 def test_motion_of_the_frame_after_leads_to_the_new_one(scene):
     found = Between(scene(0), scene(1)).motion_of_after(0.75)
     np.testing.assert_allclose(found, scene(1, step=0.25)[Role.MOTION], atol=1e-5)
