@@ -112,8 +112,8 @@ CRYPTOMATTE = "cryptomatte/"
 
 @dataclass
 class Summary:
-    """What became of a sequence: reasons by the numbers of new frames, PSNR in dB by number, and counts of the time that
-    passes in the picture from one new frame to the next, in frames of the input: a repeated one has passed none."""
+    """What became of a sequence: reasons by the numbers of new frames, PSNR in dB by number, and how often what time
+    passes in the picture from one new frame to the next, in frames of the input: none passes in a repeated one."""
 
     kept: int = 0
     made: int = 0

@@ -348,7 +348,7 @@ class Between:
         cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
         _in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows,
                   self._mirrored, t, self._scale, self._noise, cells)
-        _in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, cells)
+        _in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, self._noise, cells)
         _in_bands(self._grid[0], join_cells, cells)
         return cells
 

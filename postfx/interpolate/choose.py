@@ -40,6 +40,9 @@ STEPS = np.array([(0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)])
 """Neighbours whose paths are tried."""
 TAPER = (0.25, 0.75, 1.0, 1.0, 1.0, 1.0, 0.75, 0.25)
 """Weights of the eight pixels of a row."""
+SLOPES, MOST_NOISE = np.float32((2 * ROWS - 1) * sum(TAPER)), np.float32(4)
+"""Slopes that are summed up in a window, and the square of a slope that noise makes at most, in squares of the noise:
+even noise of Gauss makes pi between pixels. What differs by more is no noise."""
 COUNT = np.float32(ROWS * sum(TAPER))
 
 
@@ -195,8 +198,10 @@ def misfit(before: np.ndarray, after: np.ndarray, known_before: np.ndarray, know
 
 
 @inline
-def sharpness(before: np.ndarray, after: np.ndarray, known: np.ndarray, y: Real, x: Real, path: Path) -> Real:
+def sharpness(before: np.ndarray, after: np.ndarray, known: np.ndarray, y: Real, x: Real, path: Path, noise: Real
+              ) -> Real:
     """Share of what two pictures show around the places of a path that both show, 0 to 1: the rest is noise (Wiener).
+    noise: misfit of paths that are right.
 
     Where a path leads out of a picture, or only one shows it, nothing is known, and it is 1.
     """
@@ -207,6 +212,7 @@ def sharpness(before: np.ndarray, after: np.ndarray, known: np.ndarray, y: Real,
     at, across, down = window_at(ay, ax, stride)
     there, across_after, down_after = window_at(by, bx, stride)
     apart, common = window_detail(before, at, across, down, after, there, across_after, down_after, stride)
+    apart = min(apart, MOST_NOISE * noise * noise * SLOPES)
     return max(ONE - apart / common, ZERO) if common > 0 else ONE
 
 
@@ -294,7 +300,7 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
 
 @compiled
 def measure_detail(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known: np.ndarray, scale: int,
-                   cells: np.ndarray) -> None:
+                   noise: Real, cells: np.ndarray) -> None:
     """How sharp the pictures are at cells, each measured once for two by two that follow one path. y0 is even."""
     rows, columns = cells.shape[:2]
     middle = np.float32(0.5 * (scale - 1))
@@ -306,7 +312,7 @@ def measure_detail(y0: int, y1: int, before: np.ndarray, after: np.ndarray, know
                 if not differ(path, one) and path[4] + path[5] == one[4] + one[5]:
                     cells[y, x, 6] = cells[j, i, 6]
                     continue
-            cells[y, x, 6] = sharpness(before, after, known, scale * y + middle, scale * x + middle, path)
+            cells[y, x, 6] = sharpness(before, after, known, scale * y + middle, scale * x + middle, path, noise)
 
 
 @compiled

@@ -167,7 +167,7 @@ def test_a_spark_without_vectors_is_shown_once(t):
         frames.append(Frame({Role.COLOUR: colour, Role.MOTION: np.zeros((64, 96, 2), np.float32),
                              Role.DEPTH: np.ones((64, 96, 1), np.float32)}, number=number))
     found = Between(*frames, flow=False).frame(t)[Role.COLOUR]
-    np.testing.assert_array_equal(found, frames[round(t)][Role.COLOUR], "of the nearer frame")
+    np.testing.assert_array_equal(found, frames[round(t)][Role.COLOUR], "as in the nearer frame")
 
 
 def test_motion_of_the_frame_after_leads_to_the_new_one(scene):

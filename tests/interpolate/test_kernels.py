@@ -28,11 +28,13 @@ def test_windows_are_compared_as_in_their_formula():
     path = tuple(np.float32(one) for one in (1.3, -2.2, -0.6, 3.1, 1, 1))
 
     @compiled
-    def run(one, other, known, path):
+    def run(one, other, known, path, noise):
         y, x = np.float32(11), np.float32(15.5)
-        return choose.misfit(one, other, known, known, y, x, path), choose.sharpness(one, other, known, y, x, path)
+        misfit = choose.misfit(one, other, known, known, y, x, path)
+        return misfit, choose.sharpness(one, other, known, y, x, path, noise)
 
-    found = run(before.ravel(), after.ravel(), known, path)
+    found = run(before.ravel(), after.ravel(), known, path, np.float32(1))
+    unlikely = run(before.ravel(), after.ravel(), known, path, np.float32(0))
     first, last = (bilinear(picture, 11 + v - 2.5 + margin, 15.5 + u - 3.5 + margin, 6, 9).astype(float)
                    for picture, u, v in ((before, 1.3, -2.2), (after, -0.6, 3.1)))
     taper = np.array(choose.TAPER)
@@ -40,6 +42,7 @@ def test_windows_are_compared_as_in_their_formula():
     apart, common = ((taper * (np.diff(one[:, :8], axis=0)**2).sum(0)).sum() + (taper * np.diff(one, axis=1)**2).sum()
                      for one in (first - last, first + last))
     assert found[1] == pytest.approx(max(1 - apart / common, 0), abs=1e-4)
+    assert unlikely[1] == 1, "without noise nothing is blurred"
 
 
 def test_patches_of_the_flow_are_compared_as_in_their_formula():

@@ -273,7 +273,8 @@ def render(folder: Path, sequence: Callable[[float], Moment], frames: int, sampl
         colour = np.array(mi.render(scene, spp=count, seed=number), np.float32)
         planes = planes_of(moment, before)
         write_planes(folder / f"reference.{number:04d}.exr", Frame({Role.COLOUR: colour}, number=number))
-        write_planes(folder / f"noisy.{number:04d}.exr", Frame({Role.COLOUR: colour, **planes}, number=number, fov_x=FOV))
+        write_planes(folder / f"noisy.{number:04d}.exr",
+                     Frame({Role.COLOUR: colour, **planes}, number=number, fov_x=FOV))
 
 
 def main() -> None:
