@@ -1,4 +1,4 @@
-"""What people read first: no sentence of the README, the Start pages or a help text is longer than 35 words."""
+"""What people read first: no sentence of the README, the site's pages or a help text is longer than 35 words."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ ROOT = Path(__file__).resolve().parent.parent
 MOST = 35
 """Words of a sentence."""
 PAGES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "docs/index.md", "docs/gallery.md",
-         "docs/measured/install.md", "docs/measured/speed.md", *(path.relative_to(ROOT).as_posix()
-         for folder in ("start", "howto") for path in sorted((ROOT / "docs" / folder).glob("*.md"))))
+         *(path.relative_to(ROOT).as_posix() for folder in ("start", "howto", "concepts", "reference", "measured")
+           for path in sorted((ROOT / "docs" / folder).glob("*.md"))))
 _END = re.compile(r"(?<=[.!?])[)\"'*]*\s+(?=[A-Z0-9'`*(\[{]|--)|(?<=:\*\*)\s+")
 """Where a sentence ends: after its full stop, or after the bold label of a list item."""
 _ABBREVIATIONS = re.compile(r"\b(e\.g|i\.e|etc|vs|cf)\.")
