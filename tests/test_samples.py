@@ -140,6 +140,15 @@ def test_a_renderer_keeps_to_a_frame_time(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 5000
 
 
+@pytest.mark.skipif(find_spec("matplotlib") is None, reason="postfx-render[bench] is not installed")
+def test_a_network_improves_ambient_occlusion(tmp_path):
+    told = run("occlusion.py", str(tmp_path / "a.png"), "--views", "8", "--size", "72", "48", "--steps", "500")
+    rows = [tuple(map(float, row)) for row in re.findall(r"(?m)^ +0\.\d+ +([\d.]+) dB +([\d.]+) dB$", told)]
+    classical, network = map(np.mean, zip(*rows, strict=True))
+    assert len(rows) == 3 and classical > 18 and network > classical + 0.2
+    assert (tmp_path / "a.png").stat().st_size > 10000
+
+
 def test_small_networks_are_timed_beside_torch() -> None:
     pytest.importorskip("torch")
     told = run("neural_speed.py", "--widths", "8", "--threads", "1", "--points", "100", "--runs", "1", "--eager")
@@ -211,5 +220,6 @@ def test_every_script_is_run_here():
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
-             "irradiance_network.py", "planes.py", "classic.py", "render_size.py"}
+             "irradiance_network.py", "planes.py", "classic.py", "render_size.py",
+             "occlusion.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

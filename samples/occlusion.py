@@ -1,0 +1,224 @@
+"""Ambient occlusion from normals and depth: classical, and by a small network, both against ray tracing.
+
+python samples/occlusion.py [PICTURE] [--train FOLDER --held-out FOLDER] [--steps 2000]
+
+The classical way is GTAO (postfx/kernels/occlusion.py). The network, 101-64-64-1, reads at each pixel what GTAO
+compares, and its result, and learns from ray-traced pixels by the fused kernels of postfx.neural. Then it runs as ONNX
+by the machine-learning encoder. Without folders, both sets are blocks and balls that are ray-traced here, from other
+seeds. With them, they are views by `python -m training.datagen.occlusion`. Prints PSNR of visibility within radii of
+0.06, 0.125 and 0.25 of the median depth, and milliseconds of a view; draws one held-out view. Needs matplotlib, onnx.
+"""
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from postfx import Device, Library
+from postfx.kernels.numeric import kernel_jit
+from postfx.kernels.occlusion import FAR, HORIZONS, LOOK, LOOKS, SMOOTH, SURFACE
+from postfx.neural import Learner, Network
+from postfx.runtime import ArgumentTable, Tensor
+
+RADII, SETTINGS = (0.06, 0.125, 0.25), (0.9, 0.0)
+LATTICE = 0.7548776662466927, 0.5698402909980532
+
+
+@kernel_jit()
+def nearest(shapes, origin, way, normal):
+    """Distance to the first of the shapes (n, 9): centre, half sizes (a ball if the last is 0), turn about y (cosine,
+    sine) and unused; the normal there."""
+    found = np.inf
+    for k in range(shapes.shape[0]):
+        s = shapes[k]
+        x, y, z = origin[0] - s[0], origin[1] - s[1], origin[2] - s[2]
+        if s[5] == 0:
+            b, c = x * way[0] + y * way[1] + z * way[2], x * x + y * y + z * z - s[3] * s[3]
+            inside = b * b - c
+            t = -b - np.sqrt(inside) if inside > 0 else -1.0
+            if 1e-6 < t < found:
+                found = t
+                normal[0], normal[1], normal[2] = ((x + t * way[0]) / s[3], (y + t * way[1]) / s[3],
+                                                   (z + t * way[2]) / s[3])
+            continue
+        p, d = (s[6] * x - s[7] * z, y, s[7] * x + s[6] * z), (
+            s[6] * way[0] - s[7] * way[2], way[1], s[7] * way[0] + s[6] * way[2])
+        enter, leave, axis, side = -np.inf, np.inf, 0, 1.0
+        for a in range(3):
+            slope = 1 / d[a] if abs(d[a]) > 1e-12 else 1e12
+            near, far = (-s[3 + a] - p[a]) * slope, (s[3 + a] - p[a]) * slope
+            if min(near, far) > enter:
+                enter, axis, side = min(near, far), a, -np.sign(d[a])
+            leave = min(leave, max(near, far))
+        if 1e-6 < enter < min(found, leave):
+            found = enter
+            u, v = (side, 0.0) if axis == 0 else (0.0, side)
+            normal[0], normal[1], normal[2] = (0.0, side, 0.0) if axis == 1 else (s[6] * u + s[7] * v, 0.0,
+                                                                                  s[6] * v - s[7] * u)
+    return found
+
+
+@kernel_jit()
+def first_hits(shapes, eye, ways, depth, normals):
+    """Distance along each way, and normals; ways (h, w, 3) are 1 long along the camera's axis."""
+    for y in range(ways.shape[0]):
+        for x in range(ways.shape[1]):
+            depth[y, x] = nearest(shapes, eye, ways[y, x], normals[y, x])
+
+
+@kernel_jit()
+def visibility(shapes, eye, ways, depth, normals, radii, turns, rays, visible):
+    """Shares of cosine-weighted rays that are longer than each radius."""
+    spare, way = np.empty(3), np.empty(3)
+    for y in range(ways.shape[0]):
+        for x in range(ways.shape[1]):
+            n = normals[y, x]
+            origin = eye + depth[y, x] * ways[y, x] + 1e-4 * n
+            sign = 1.0 if n[2] >= 0 else -1.0  # a frame around the normal: Duff 2017
+            a = -1 / (sign + n[2])
+            b = n[0] * n[1] * a
+            visible[:, y, x] = 0
+            for k in range(rays):
+                u, v = turns[y, x, 0] + k * LATTICE[0], turns[y, x, 1] + k * LATTICE[1]
+                radius, angle = np.sqrt(u - np.floor(u)), 2 * np.pi * v
+                i, j, up = radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - (u - np.floor(u)))
+                way[0] = i * (1 + sign * n[0] * n[0] * a) + j * b + up * n[0]
+                way[1] = i * sign * b + j * (sign + n[1] * n[1] * a) + up * n[1]
+                way[2] = -i * sign * n[0] - j * n[1] + up * n[2]
+                distance = nearest(shapes, origin, way, spare)
+                for r in range(radii.size):
+                    visible[r, y, x] += (distance > radii[r]) / rays
+
+
+def blocks(seed: int, size: tuple[int, int], rays: int = 128) -> dict[str, np.ndarray]:
+    """A view of blocks and balls on a floor between two walls, as `training.datagen.occlusion` stores one."""
+    random, (width, height) = np.random.default_rng(seed), size
+    shapes = [(0, -1, 0, 50, 1, 50, 1, 0, 0), (0, 0, -4, 50, 50, 1, 1, 0, 0), (-5, 0, 0, 1, 50, 50, 1, 0, 0)]
+    for _ in range(24):
+        half, turn = random.uniform(0.1, 0.8, 3), random.uniform(0, 2 * np.pi)
+        place = random.uniform((-3.5, 0, -2.5), (3, 1, 2))
+        if random.random() < 0.3:
+            shapes.append((place[0], half[0] * random.uniform(0.8, 1.5), place[2], half[0], 0, 0, 1, 0, 0))
+        else:
+            lift = half[1] if random.random() < 0.8 else place[1] + half[1]
+            shapes.append((place[0], lift, place[2], *half, np.cos(turn), np.sin(turn), 0))
+    eye, target = random.uniform((1, 1, 3), (4, 3.5, 6)), random.uniform((-2, 0, -2), (1, 1, 1))
+    back = (eye - target) / np.linalg.norm(eye - target)
+    right = np.cross((0, 1, 0), back) / np.linalg.norm(np.cross((0, 1, 0), back))
+    axes, tangent = np.stack([right, np.cross(back, right), back]), random.uniform(0.35, 0.7)
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width * 2 - 1, 1 - (np.arange(height) + 0.5) / height * 2)
+    ways = np.stack([x * tangent, y * tangent * height / width, -np.ones_like(x)], -1) @ axes
+    depth, normals, known = np.empty(x.shape), np.zeros(ways.shape), np.asarray(shapes, float)
+    lengths = np.linalg.norm(ways, axis=-1, keepdims=True)
+    first_hits(known, eye, ways / lengths, depth, normals)
+    depth /= lengths[..., 0]
+    radii, visible = np.asarray(RADII) * np.median(depth), np.empty((len(RADII), *x.shape))
+    visibility(known, eye, ways, depth, normals, radii, random.random((*x.shape, 2)), rays, visible)
+    return {"normal": normals @ axes.T, "depth": depth, "visible": visible, "radii": radii, "tangent": tangent}
+
+
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "occlusion.png")
+parser.add_argument("--train", type=Path, help="folder of views to learn from")
+parser.add_argument("--held-out", type=Path, help="folder of views to measure on")
+parser.add_argument("--views", type=int, default=24, help="of blocks to learn from; a quarter as many are held out")
+parser.add_argument("--size", type=int, nargs=2, default=(192, 128), help="of views of blocks")
+parser.add_argument("--steps", type=int, default=2000)
+parser.add_argument("--hidden", type=int, nargs="+", default=(64, 64))
+parser.add_argument("--threads", type=int, default=1)
+chosen = parser.parse_args()
+device, random = Device("cpu", threads=chosen.threads), np.random.default_rng(0)
+states = {kernel: device.compute_state(kernel) for kernel in (SURFACE, HORIZONS, SMOOTH, LOOKS)}
+
+
+def views_of(folder: Path | None, seeds: range) -> list[dict[str, np.ndarray]]:
+    if folder is None:
+        return [blocks(seed, chosen.size) for seed in seeds]
+    return [dict(np.load(path)) for path in sorted(folder.glob("*.npz"))]
+
+
+def looked_at(view: dict[str, np.ndarray], k: int) -> tuple[dict[str, Tensor], float]:
+    """Tensors of a view at its k-th radius: surface, the classical estimate and what the network reads; its time."""
+    height, width = view["depth"].shape
+    new, tangent = device.heap.tensor, view["tangent"]
+    camera = np.float32([*np.eye(3).ravel(), view["radii"][k], tangent, tangent * height / width])
+    made = {"normal": device.wrap("normal", np.ascontiguousarray(view["normal"], np.float32)),
+            "depth": device.wrap("depth", np.ascontiguousarray(view["depth"][..., None], np.float32)),
+            "camera": device.wrap("camera", camera), "settings": device.wrap("settings", np.float32(SETTINGS)),
+            "first": device.wrap("first", np.zeros(1, np.float32)), "surface": new("surface", (height, width, 4)),
+            "raw": new("raw", (height, width)), "smooth": new("smooth", (height, width)),
+            "points": new("points", (height * width, LOOK))}
+    commands = device.command_buffer("occlusion")
+    for kernel, renamed in ((SURFACE, {}), (HORIZONS, {"visible": "raw"}), (SMOOTH, {"noisy": "raw",
+                            "visible": "smooth"}), (LOOKS, {})):
+        with commands.compute_encoder(kernel.name) as encoder:
+            encoder.barrier(after="compute", before="compute")
+            names = (*kernel.reads, *kernel.writes)
+            encoder.dispatch(states[kernel], ArgumentTable(
+                states[kernel], {name: made[renamed.get(name, name)] for name in names}))
+    commands.commit()
+    commands.wait()
+    return made, sum(taken for _, taken in commands.timings[:-1])
+
+
+points, targets = [], []
+for view in views_of(chosen.train, range(chosen.views)):
+    for k in range(len(RADII)):
+        made, _ = looked_at(view, k)
+        there = np.flatnonzero(made["surface"].array[..., 3] < FAR)
+        picked = random.choice(there, min(1500, len(there)), replace=False)
+        points.append(made["points"].array[picked])
+        targets.append(view["visible"][k].ravel()[picked].astype(np.float32))
+every, wanted = np.concatenate(points), np.concatenate(targets)[:, None]
+network = Network(LOOK, tuple(chosen.hidden), 1, "gelu")
+learner, began = Learner(device, network, seed=0), time.process_time()
+batch = device.heap.tensor("batch", (8192, LOOK)), device.heap.tensor("wanted", (8192, 1))
+for step in range(chosen.steps):
+    learner.set_rate(1.5e-3 * (1 + np.cos(np.pi * step / chosen.steps)) + 1e-6)
+    some = random.integers(len(every), size=8192)
+    for tensor, values in zip(batch, (every, wanted), strict=True):
+        tensor.upload(values[some])
+    commands = device.command_buffer("learn")
+    with commands.compute_encoder("learn") as encoder:
+        learner.learn(encoder, *batch)
+    commands.commit()
+    commands.wait()
+print(f"{len(every)} pixels, {network.count} parameters, learnt in {time.process_time() - began:.0f} s")
+
+library = tempfile.TemporaryDirectory()
+network.save_onnx(Path(library.name) / "occlusion.onnx", learner.parameters.download())
+held = views_of(chosen.held_out, range(1000, 1000 + max(chosen.views // 4, 1)))
+errors, times, drawn = np.zeros((len(RADII), 2, len(held))), [], []
+for at, view in enumerate(held):
+    twin = device.pipeline_state(Library(library.name), "occlusion", {"points": view["depth"].size})
+    for k in range(len(RADII)):
+        made, classical_time = looked_at(view, k)
+        values = device.heap.tensor("values", (view["depth"].size, 1))
+        commands = device.command_buffer("network")
+        with commands.machine_learning_encoder("network") as encoder:
+            encoder.dispatch_network(twin, ArgumentTable(twin, {"points": made["points"], "values": values}))
+        commands.commit()
+        commands.wait()
+        times.append((classical_time, sum(taken for _, taken in commands.timings)))
+        there = made["surface"].array[..., 3] < FAR
+        network_found = np.where(there, np.clip(values.array.reshape(there.shape), 0, 1), 1)
+        found = made["smooth"].array.copy(), network_found
+        truth = view["visible"][k].astype(np.float32)
+        errors[k, :, at] = [np.mean((one - truth)[there] ** 2) for one in found]
+        drawn = [truth, *found] if k == 1 and at == 0 else drawn
+print(f"{'radius':>8} {'classical':>10} {'network':>8}")
+for radius, pair in zip(RADII, errors.mean(-1), strict=True):
+    print(f"{radius:8} {-10 * np.log10(pair[0]):7.2f} dB {-10 * np.log10(pair[1]):5.2f} dB")
+print("ms a view of {}x{}: classical {:.1f}, the network beyond it {:.1f}".format(
+    *held[0]["depth"].shape[::-1], *np.median(times, 0)))
+
+figure = Figure((12, 3), layout="constrained")
+for panel, picture, name in zip(figure.subplots(1, 3), drawn, ("ray-traced", "classical", "network"), strict=True):
+    panel.imshow(picture, cmap="gray", vmin=0, vmax=1)
+    panel.set_title(name)
+    panel.axis("off")
+figure.savefig(chosen.picture, dpi=80)
+print(f"wrote {chosen.picture}")
+library.cleanup()
