@@ -101,7 +101,7 @@ ROOMS = (
           "test_trouble.py"),
     _room("passes/", 3, *_in("passes", "registry", "contract", "display", "composite_overlay", "exposure_tool",
                              "composite_both_ways", "tonemap"), "test_on_device.py"),
-    _room("io/exr/", 4, *_in("files", "kept", "broken"), *_in("io", "writer")),
+    _room("io/exr/", 4, *_in("files", "kept", "broken"), *_in("io", "writer", "image_file")),
     _room("io/encode.py", 2, *_in("io", "encode_dither", "encode_png", "encode_tags", "encode_light", "writer")),
     _room("io/windows.py", 1, *_in("files", "windows"), *_in("io", "frame_reader")),
     _room("io/masks.py", 1, *_in("io", "masks")),
@@ -187,6 +187,7 @@ EQUIVALENT = {
     "number: 1 -> 2 in head = json.dumps(": "JSON means the same with other spaces",
     "number: 0.0 -> -1.0 in signal = np.clip(": "what is below 0 becomes 0, too",
     "number: 0 -> -1 in mix_row(": "the output of a network holds one frame, the first and the last",
+    "number: 0 -> -1 in _correct_type(headers[0]": "a file of one part has one header",
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",
     "chosen: or abs(columns[1]) > MARGIN - 3 -> or columns[1] > MARGIN - 3": "the second column lies after the first",
 }
