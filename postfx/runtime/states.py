@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -421,6 +422,7 @@ class Dimension(NamedTuple):
     symbol: str | None
 
 
+@cache
 def parse(dimension: int | str) -> Dimension:
     """A declared dimension: a number, 'symbol' or 'k*symbol' with a whole number k of at least 1."""
     if isinstance(dimension, int):
