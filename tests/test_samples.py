@@ -105,6 +105,15 @@ def test_the_time_of_masked_frames(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10000
 
 
+def test_the_time_of_a_frame_is_fitted_and_a_farm_simulated(tmp_path):
+    printed = run("time_model.py", "--models", "s", "--runs", "1", "--sizes", "96x64,192x128,384x256", "--full", "192x128",
+                  "--threads", "1", "-o", str(tmp_path / "a.png"))
+    (slope,) = re.findall(r"\+ (\d+) ms a megapixel", printed)
+    hours = list(map(float, re.findall(r"chunks of \d+ ([0-9.]+) h", printed)))
+    assert int(slope) > 0 and hours[0] > hours[2]  # chunks as small as the run-up before them take longer
+    assert (tmp_path / "a.png").stat().st_size > 10000
+
+
 @pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="postfx-render[bench] is not installed")
 def test_misses_are_left_alone_as_long_as_that_is_better():
     """At every noise within 0.5 dB of the better of denoising them and leaving them; without noise they are left."""
@@ -220,6 +229,5 @@ def test_every_script_is_run_here():
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
-             "irradiance_network.py", "planes.py", "classic.py", "render_size.py",
-             "occlusion.py"}
+             "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py", "time_model.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named
