@@ -106,8 +106,8 @@ def test_the_time_of_masked_frames(tmp_path):
 
 
 def test_the_time_of_a_frame_is_fitted_and_a_farm_simulated(tmp_path):
-    printed = run("time_model.py", "--models", "s", "--runs", "1", "--sizes", "96x64,192x128,384x256", "--full", "192x128",
-                  "--threads", "1", "-o", str(tmp_path / "a.png"))
+    printed = run("time_model.py", "--models", "s", "--runs", "1", "--sizes", "96x64,192x128,384x256",
+                  "--full", "192x128", "--threads", "1", "-o", str(tmp_path / "a.png"))
     (slope,) = re.findall(r"\+ (\d+) ms a megapixel", printed)
     hours = list(map(float, re.findall(r"chunks of \d+ ([0-9.]+) h", printed)))
     assert int(slope) > 0 and hours[0] > hours[2]  # chunks as small as the run-up before them take longer
