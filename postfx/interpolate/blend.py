@@ -15,12 +15,14 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from postfx.interpolate.choose import OTHER, is_within
+from postfx.interpolate.choose import differ, is_within
 from postfx.kernels.lanes import in_lanes
 from postfx.kernels.numeric import Real, compiled, inline, summed
 
 ZERO, ONE = np.float32(0), np.float32(1)
 NOTHING = (ZERO, ZERO, ZERO)
+JOINED = np.float32(0.6)
+"""Pixels by which paths of cells beside each other may differ for there to be others between them."""
 LEAST = np.float32(1e-4)
 """Weight of a frame that does not show a point, so that something is there where none does."""
 LITTLE = np.float32(1e-3)
@@ -137,7 +139,7 @@ def join_cells(y0: int, y1: int, cells: np.ndarray) -> None:
             right = min(x + 1, columns - 1)
             is_one = True
             for c in range(6):
-                one, most = cells[y, x, c], OTHER if c < 4 else ZERO
+                one, most = cells[y, x, c], JOINED if c < 4 else ZERO
                 beside, under = abs(cells[y, right, c] - one), abs(cells[low, x, c] - one)
                 is_one = is_one and max(max(beside, under), abs(cells[low, right, c] - one)) <= most
             cells[y, x, 7] = ONE if is_one else ZERO
@@ -231,6 +233,20 @@ def cell_of(flat: np.ndarray, at: int) -> Cell:
 
 
 @compiled
+def share_cells(flat: np.ndarray, p: int, q: int, r: int, s: int, across: Real, down: Real, mixture: np.ndarray) -> None:
+    """Shares (4,) of four cells in a pixel, by its place between them. Of cells that follow one path one has it all."""
+    mixture[0], mixture[1] = (ONE - down) * (ONE - across), (ONE - down) * across
+    mixture[2], mixture[3] = down * (ONE - across), down * across
+    for k in range(1, 4):
+        path = cell_of(flat, 8 * (q if k == 1 else r if k == 2 else s))
+        for j in range(k):
+            other = cell_of(flat, 8 * (p if j == 0 else q if j == 1 else r))
+            if mixture[j] > 0 and not differ(path, other) and path[4] == other[4] and path[5] == other[5]:
+                mixture[j], mixture[k] = mixture[j] + mixture[k], ZERO
+                break
+
+
+@compiled
 def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
             known_after: np.ndarray, y: int, t: Real, paths: np.ndarray, shares: np.ndarray, row: np.ndarray,
             mixture: np.ndarray) -> None:
@@ -246,10 +262,15 @@ def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray
         left, right, across = between_cells(x, size, columns)
         joined = paths[x, 7] > 0
         red, green, blue, whole, best = ZERO, ZERO, ZERO, ZERO, ZERO
+        if not joined:
+            share_cells(flat, top * columns + left, top * columns + right, low * columns + left, low * columns + right,
+                        across, down, mixture[x])
         for k in range(1 if joined else 4):
             share, path = ONE, cell_of(flat_paths, 8 * x)
             if not joined:
-                share = (down if k > 1 else ONE - down) * (across if k % 2 else ONE - across)
+                share = mixture[x, k]
+                if share == 0:
+                    continue
                 path = cell_of(flat, 8 * ((low if k > 1 else top) * columns + (right if k % 2 else left)))
             first, last = weights_of(path, known_before, known_after, y, x, t)
             a, b, c = NOTHING
