@@ -308,7 +308,7 @@ class Between:
         if has_depth and later is not None and not later.reset and Role.MOTION in later and Role.DEPTH in later:
             if later[Role.MOTION].shape[:2] == self._size:
                 goes = invert_motion(*self._cells_of(later), far)
-        first, last = paths_of(motion, ahead, near, far, came if known_from_before else None, goes)
+        first, last = paths_of(motion, ahead, near, far, came if known_from_before else None, goes, _in_bands)
         for paths, frame in ((first, self.before), (last, self.after)):
             paths.ends += np.array(frame.jitter * 2, np.float32) / np.float32(self._scale)
         return first, last
@@ -335,10 +335,11 @@ class Between:
 
     def _choose(self, t: float) -> np.ndarray:
         """What `compose` takes of the cells at a time."""
-        first, last = self._paths
+        _ = self._toned
+        (first, last), _, _ = _at_once([lambda: self._paths, lambda: self._flows, lambda: self._known], waiting=True)
         (one, near), (other, far) = _at_once([lambda: splat_paths(first, t), lambda: splat_paths(last, t)])
         own = np.empty((*self._grid, 6), np.float32)
-        merge_sides(one, near, other, far, np.float32(self._scale), own)
+        _in_bands(len(own), merge_sides, one, near, other, far, np.float32(self._scale), own)
         if any((*self.before.jitter, *self.after.jitter)):
             shift = np.array((*self.before.jitter, *self.after.jitter), np.float32)
             own[..., :4] -= shift
@@ -492,13 +493,14 @@ def _split(stack: np.ndarray, group: dict[Role | str, Pair]) -> dict[Role | str,
 
 
 @cache
-def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(usable_cores(), "postfx interpolate")
+def _threads(waiting: bool) -> ThreadPoolExecutor:
+    """Threads that work, or those that mostly wait for them."""
+    return ThreadPoolExecutor(4 if waiting else usable_cores(), "postfx interpolate")
 
 
-def _at_once(tasks: Iterable[Callable[[], Any]]) -> list[Any]:
-    """Results of functions that run side by side."""
-    return [task.result() for task in [_threads().submit(task) for task in tasks]]
+def _at_once(tasks: Iterable[Callable[[], Any]], waiting: bool = False) -> list[Any]:
+    """Results of functions that run side by side. waiting: they do so themselves with others."""
+    return [task.result() for task in [_threads(waiting).submit(task) for task in tasks]]
 
 
 def _in_bands(height: int, kernel: Callable[..., None], *arguments: Any) -> None:

@@ -233,7 +233,8 @@ def cell_of(flat: np.ndarray, at: int) -> Cell:
 
 
 @compiled
-def share_cells(flat: np.ndarray, p: int, q: int, r: int, s: int, across: Real, down: Real, mixture: np.ndarray) -> None:
+def share_cells(flat: np.ndarray, p: int, q: int, r: int, s: int, across: Real, down: Real, mixture: np.ndarray
+                ) -> None:
     """Shares (4,) of four cells in a pixel, by its place between them. Of cells that follow one path one has it all."""
     mixture[0], mixture[1] = (ONE - down) * (ONE - across), (ONE - down) * across
     mixture[2], mixture[3] = down * (ONE - across), down * across

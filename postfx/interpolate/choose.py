@@ -82,16 +82,16 @@ def side_path(side: np.ndarray, is_last: int, scale: Real, y: int, x: int) -> Pa
 
 
 @compiled
-def merge_sides(first: np.ndarray, first_depth: np.ndarray, last: np.ndarray, last_depth: np.ndarray, scale: Real,
-                own: np.ndarray) -> None:
+def merge_sides(y0: int, y1: int, first: np.ndarray, first_depth: np.ndarray, last: np.ndarray, last_depth: np.ndarray,
+                scale: Real, own: np.ndarray) -> None:
     """The nearer path of both sides at each cell, or their mean where they are alike; NaN without.
 
     first, last: (rows, columns, 8) in cells, as `paths.close_cracks` leaves them; depths: (rows, columns), FAR where no
     path arrived. scale: pixels of a cell.
     """
-    h, w = first_depth.shape
+    w = first_depth.shape[1]
     half = np.float32(0.5)
-    for y in range(h):
+    for y in range(y0, y1):
         for x in range(w):
             a, b = first_depth[y, x], last_depth[y, x]
             one, other = side_path(first, 0, scale, y, x), side_path(last, 1, scale, y, x)

@@ -12,6 +12,7 @@ Lagrange's polynomial through three or four places.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,7 +57,7 @@ class Paths:
 
 
 def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, depth_after: np.ndarray,
-             came: np.ndarray | None = None, goes: np.ndarray | None = None) -> tuple[Paths, Paths]:
+             came: np.ndarray | None, goes: np.ndarray | None, in_bands: Callable[..., None]) -> tuple[Paths, Paths]:
     """Paths of the pixels of the frame before, and of those of the frame after.
 
     Args:
@@ -65,14 +66,16 @@ def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, de
         depth_before, depth_after: (h, w, 1), without NaN.
         came: motion of the frame before, from a frame further back; None without.
         goes: motion from the frame after to one further ahead, LOST where that hides a point; None without.
+        in_bands: runs a kernel on all rows of a height.
     """
     h, w = motion.shape[:2]
     first, last = (Paths(np.empty((h, w, 4), np.float32), np.zeros((h, w, 2), np.float32), depth,
                          np.empty((h, w), np.float32)) for depth in (depth_before, depth_after))
     none = np.zeros((0, 0, 2), np.float32)
     came, goes = none if came is None else came, none if goes is None else goes
-    lead_back(motion, ahead, depth_before, depth_after, came, goes, last.ends, last.bend, last.seen)
-    lead_ahead(ahead, motion, depth_before, depth_after, came, last.bend, first.ends, first.bend, first.seen)
+    in_bands(h, lead_back, motion, ahead, depth_before, depth_after, came, goes, last.ends, last.bend, last.seen)
+    in_bands(h, lead_ahead, ahead, motion, depth_before, depth_after, came, last.bend, first.ends, first.bend,
+             first.seen)
     return first, last
 
 
@@ -177,12 +180,13 @@ def is_touched(back: np.ndarray, depth: np.ndarray, v: Real, u: Real, fx: Real, 
 
 
 @compiled
-def lead_back(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, depth_after: np.ndarray,
-              came: np.ndarray, goes: np.ndarray, ends: np.ndarray, bend: np.ndarray, seen: np.ndarray) -> None:
+def lead_back(y0: int, y1: int, motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray,
+              depth_after: np.ndarray, came: np.ndarray, goes: np.ndarray, ends: np.ndarray, bend: np.ndarray,
+              seen: np.ndarray) -> None:
     """Paths of the frame after: by its motion; bent by what the frames beside tell of the same points."""
     h, w = seen.shape
     half = np.float32(0.5)
-    for y in range(h):
+    for y in range(y0, y1):
         for x in range(w):
             mx, my = motion[y, x, 0], motion[y, x, 1]
             ends[y, x, 0], ends[y, x, 1], ends[y, x, 2], ends[y, x, 3] = mx, my, 0, 0
@@ -208,12 +212,13 @@ def lead_back(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, d
 
 
 @compiled
-def lead_ahead(ahead: np.ndarray, motion: np.ndarray, depth_before: np.ndarray, depth_after: np.ndarray,
-               came: np.ndarray, bend_after: np.ndarray, ends: np.ndarray, bend: np.ndarray, seen: np.ndarray) -> None:
+def lead_ahead(y0: int, y1: int, ahead: np.ndarray, motion: np.ndarray, depth_before: np.ndarray,
+               depth_after: np.ndarray, came: np.ndarray, bend_after: np.ndarray, ends: np.ndarray, bend: np.ndarray,
+               seen: np.ndarray) -> None:
     """Paths of the frame before: to where the frame after shows the point, or straight on."""
     h, w = seen.shape
     half = np.float32(0.5)
-    for y in range(h):
+    for y in range(y0, y1):
         for x in range(w):
             fx, fy = ahead[y, x, 0], ahead[y, x, 1]
             seen[y, x] = 0
