@@ -213,6 +213,14 @@ def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.
         row[x, 0], row[x, 1], row[x, 2] = one * a + other * p, one * b + other * q, one * c + other * r
 
 
+@compiled
+def colour_beside(picture: np.ndarray, j: int, i: int, v: Real, u: Real, sharp: Real) -> Three:
+    """Three channels at a place after a pixel, near the edge of the picture."""
+    down, across = taps_at(v, sharp), taps_at(u, sharp)
+    return (cubic_one(picture, j, i, down, across, 0), cubic_one(picture, j, i, down, across, 1),
+            cubic_one(picture, j, i, down, across, 2))
+
+
 @inline
 def colour_at(picture: np.ndarray, flat: np.ndarray, y: Real, x: Real, sharp: Real) -> Three:
     """Three channels at a place."""
@@ -221,9 +229,8 @@ def colour_at(picture: np.ndarray, flat: np.ndarray, y: Real, x: Real, sharp: Re
     if 1 <= j < h - 2 and 1 <= i < w - 4:
         inner: Three = cubic_three(flat, ((j - 1) * w + i - 1) * 3, 3 * w, v, u, sharp)
         return inner
-    down, across = taps_at(v, sharp), taps_at(u, sharp)
-    return (cubic_one(picture, j, i, down, across, 0), cubic_one(picture, j, i, down, across, 1),
-            cubic_one(picture, j, i, down, across, 2))
+    beside: Three = colour_beside(picture, j, i, v, u, sharp)
+    return beside
 
 
 @inline

@@ -77,26 +77,46 @@ def enlarge_motion(flow: np.ndarray, height: int, width: int) -> np.ndarray:
 
 
 @inline
+def centre_between(position: int, count: int, size: int) -> tuple[int, int, Real]:
+    """The centres before and after that of a pixel of a larger row, and how far it is from the first to the second."""
+    at = min(max(np.float32((position + 0.5) * count / size - 0.5), np.float32(0)), np.float32(count - 1))
+    first = min(int(at), max(count - 2, 0))
+    return first, min(first + 1, count - 1), at - first
+
+
+@inline
+def motion_between(flow: np.ndarray, c: int, j: int, low: int, fy: Real, i: int, right: int, fx: Real) -> Real:
+    """Motion between four centres."""
+    upper = flow[j, i, c] * (1 - fx) + flow[j, right, c] * fx
+    lower = flow[low, i, c] * (1 - fx) + flow[low, right, c] * fx
+    return upper * (1 - fy) + lower * fy
+
+
+@inline
 def enlarged_at(flow: np.ndarray, height: int, width: int, y: int, x: int) -> tuple[Real, Real]:
     """Motion at a pixel of a larger picture, in its pixels: linear interpolation between centres."""
     h, w = flow.shape[:2]
-    v = min(max(np.float32((y + 0.5) * h / height - 0.5), np.float32(0)), np.float32(h - 1))
-    u = min(max(np.float32((x + 0.5) * w / width - 0.5), np.float32(0)), np.float32(w - 1))
-    j, i = min(int(v), max(h - 2, 0)), min(int(u), max(w - 2, 0))
-    low, right = min(j + 1, h - 1), min(i + 1, w - 1)
-    fy, fx = v - j, u - i
-    a, b = flow[j, i, 0] * (1 - fx) + flow[j, right, 0] * fx, flow[j, i, 1] * (1 - fx) + flow[j, right, 1] * fx
-    c, d = flow[low, i, 0] * (1 - fx) + flow[low, right, 0] * fx, flow[low, i, 1] * (1 - fx) + flow[low, right, 1] * fx
-    return (a * (1 - fy) + c * fy) * np.float32(width / w), (b * (1 - fy) + d * fy) * np.float32(height / h)
+    j, low, fy = centre_between(y, h, height)
+    i, right, fx = centre_between(x, w, width)
+    return (motion_between(flow, 0, j, low, fy, i, right, fx) * np.float32(width / w),
+            motion_between(flow, 1, j, low, fy, i, right, fx) * np.float32(height / h))
 
 
 @compiled
 def enlarge(flow: np.ndarray, larger: np.ndarray) -> None:
     """Linear interpolation between centres, in pixels of the larger picture."""
+    h, w = flow.shape[:2]
     height, width = larger.shape[:2]
+    wide, tall = np.float32(width / w), np.float32(height / h)
+    places, shares = np.empty((width, 2), np.int64), np.empty(width, np.float32)
+    for x in range(width):
+        places[x, 0], places[x, 1], shares[x] = centre_between(x, w, width)
     for y in range(height):
+        j, low, fy = centre_between(y, h, height)
         for x in range(width):
-            larger[y, x, 0], larger[y, x, 1] = enlarged_at(flow, height, width, y, x)
+            i, right, fx = places[x, 0], places[x, 1], shares[x]
+            larger[y, x, 0] = motion_between(flow, 0, j, low, fy, i, right, fx) * wide
+            larger[y, x, 1] = motion_between(flow, 1, j, low, fy, i, right, fx) * tall
 
 
 @inline
