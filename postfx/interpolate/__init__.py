@@ -6,9 +6,9 @@
         if between.ready:
             show(between.frame(0.5))
 
-Four steps: `paths` lead every pixel of two frames through the time between them and are splatted to the time that is
-asked for; `flow` estimates motion where vectors tell nothing; `blend` chooses between the paths that meet and takes the
-picture from both frames. `timing` says which times, numbers and time codes a sequence gets. docs/interpolation.md.
+Steps: `paths` lead both frames through the time between them, for cells of a few pixels, and are splatted to the time
+that is asked for; `flow` estimates motion where vectors tell nothing; `choose` decides between the paths that meet, and
+`blend` takes the picture from both frames along them. `timing` says which times, numbers and time codes a sequence gets. docs/interpolation.md.
 """
 
 from __future__ import annotations
