@@ -8,7 +8,8 @@
 
 Steps: `paths` lead both frames through the time between them, for cells of a few pixels, and are splatted to the time
 that is asked for; `flow` estimates motion where vectors tell nothing; `choose` decides between the paths that meet, and
-`blend` takes the picture from both frames along them. `timing` says which times, numbers and time codes a sequence gets. docs/interpolation.md.
+`blend` takes the picture from both frames along them. `timing` says which times, numbers and time codes a sequence
+gets. docs/interpolation.md.
 """
 
 from __future__ import annotations
