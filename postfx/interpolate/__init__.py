@@ -26,11 +26,19 @@ import numpy as np
 from postfx.cuts import CutDetector
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
-from postfx.interpolate.blend import compose, find_overlay, is_finite, is_same_plane, join_cells
+from postfx.interpolate.blend import (
+    COVERED,
+    compose,
+    find_overlay,
+    is_finite,
+    is_same_plane,
+    join_cells,
+    measure_clearness,
+    remove_overlay,
+)
 from postfx.interpolate.choose import MARGIN, choose_paths, fill_holes, measure_detail, merge_sides, misfits, tone_rows
 from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, halve
 from postfx.interpolate.paths import Paths, gather_cells, motion_of_reflections, paths_of, rank_paths, splat_paths
-from postfx.sampling import local_sum
 from postfx.system import usable_cores
 from postfx.temporal.reverse_motion import invert_motion
 
@@ -39,8 +47,6 @@ LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
 DATA = (Role.DEPTH, Role.NORMAL, Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE)
 """Planes that are taken from one frame's nearest pixel."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-COVERED = 0.98
-"""Coverage from which an overlay hides the picture."""
 LEAST_OF_CELLS = 64
 """Pixels along a picture's shorter side from which paths are found for cells of 2x2 pixels."""
 LEAST_SEARCHED = 240
@@ -197,7 +203,7 @@ class Between:
             return _finite(self.before[Role.OPAQUE_COLOUR]), _finite(self.after[Role.OPAQUE_COLOUR])
         if not self._composited:
             return self._colours
-        first, last = (_take_out(*both) for both in zip(self._colours, self._overlays, strict=True))
+        first, last = (remove_overlay(*both) for both in zip(self._colours, self._overlays, strict=True))
         return first, last
 
     @cached_property
@@ -399,7 +405,7 @@ class Between:
             return covered
         one, other = self._colours
         if self._both_have(Role.OPAQUE_COLOUR):
-            clear = _clearness(one, other, *self._pictures)
+            clear = measure_clearness(one, other, *self._pictures)
             mean = self._pictures[0] + np.float32(t) * (self._pictures[1] - self._pictures[0])
             drawn: np.ndarray = one + np.float32(t) * (other - one) + clear * (picture - mean)
             return drawn
@@ -451,27 +457,6 @@ class Interpolator:
         """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
-
-
-def _take_out(colour: np.ndarray, overlay: np.ndarray) -> np.ndarray:
-    """The picture under an overlay that was composited over it; black where nothing of it is left."""
-    clear = 1 - overlay[..., 3:]
-    picture = np.zeros_like(colour)
-    np.divide(colour - overlay[..., :3], clear, out=picture, where=clear > 1 - COVERED)
-    return picture
-
-
-def _clearness(one: np.ndarray, other: np.ndarray, below: np.ndarray, below_other: np.ndarray) -> np.ndarray:
-    """How much of the picture an overlay lets through (h, w, 1), 0 to 1, by the difference of two frames with and
-    without it: least squares of colour = overlay + clearness * picture over 5x5 pixels, for an overlay that stands
-    still. 1 where the picture does not change, as it makes no difference there."""
-    change, seen = below_other - below, other - one
-    product, square = (local_sum((change * by).sum(-1), 2) for by in (seen, change))
-    clear = np.divide(product, square, out=np.ones_like(square), where=square > 0).clip(0, 1)
-    still = (seen == 0).all(-1) & (change != 0).any(-1)
-    clear[still] = 0  # to the pixel, where nothing comes through
-    found: np.ndarray = clear[..., None]
-    return found
 
 
 def _finite(plane: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ import numpy as np
 from postfx.interpolate.choose import differ, is_within
 from postfx.kernels.lanes import in_lanes
 from postfx.kernels.numeric import Real, compiled, inline, summed
+from postfx.sampling import local_sum
 
 ZERO, ONE = np.float32(0), np.float32(1)
 NOTHING = (ZERO, ZERO, ZERO)
@@ -30,6 +31,8 @@ LITTLE = np.float32(1e-3)
 ALIKE, UNSURE, TINY = np.float32(0.05**2), np.float32(0.2), np.float32(1e-6)
 """Relative difference of both frames, squared, from which a path counts less beside others; what stands for it where
 only one frame shows a point; light below which nothing counts."""
+COVERED = 0.98
+"""Coverage from which an overlay hides the picture."""
 ELSE = np.float32(60)
 """How many times as bright as in the other frame something is that only one of them shows."""
 Cell: TypeAlias = tuple[Real, Real, Real, Real, Real, Real, Real]
@@ -457,3 +460,24 @@ def is_same_plane(one: np.ndarray, other: np.ndarray) -> bool:
         if one[i] != other[i] and (one[i] == one[i] or other[i] == other[i]):
             return False
     return True
+
+
+def remove_overlay(colour: np.ndarray, overlay: np.ndarray) -> np.ndarray:
+    """The picture under an overlay that was composited over it; black where nothing of it is left."""
+    clear = 1 - overlay[..., 3:]
+    picture = np.zeros_like(colour)
+    np.divide(colour - overlay[..., :3], clear, out=picture, where=clear > 1 - COVERED)
+    return picture
+
+
+def measure_clearness(one: np.ndarray, other: np.ndarray, below: np.ndarray, below_other: np.ndarray) -> np.ndarray:
+    """How much of the picture an overlay lets through (h, w, 1), 0 to 1, by the difference of two frames with and
+    without it: least squares of colour = overlay + clearness * picture over 5x5 pixels, for an overlay that stands
+    still. 1 where the picture does not change, as it makes no difference there."""
+    change, seen = below_other - below, other - one
+    product, square = (local_sum((change * by).sum(-1), 2) for by in (seen, change))
+    clear = np.divide(product, square, out=np.ones_like(square), where=square > 0).clip(0, 1)
+    still = (seen == 0).all(-1) & (change != 0).any(-1)
+    clear[still] = 0  # to the pixel, where nothing comes through
+    found: np.ndarray = clear[..., None]
+    return found
