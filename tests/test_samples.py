@@ -158,6 +158,17 @@ def test_a_network_improves_ambient_occlusion(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10000
 
 
+@pytest.mark.skipif(find_spec("matplotlib") is None, reason="postfx-render[bench] is not installed")
+def test_a_neural_material_is_better_than_coarser_blocks(tmp_path):
+    pytest.importorskip("torch")
+    told = run("neural_material.py", str(tmp_path / "a.png"), "--size", "64", "--steps", "400")
+    rows = re.findall(r"(?m)^(\w+, \d+ bits) +([\d.]+) +([\d.]+) +([\d.]+) +([\d.]+) +([\d.]+)$", told)
+    colour, normal, whole = ({name: float(values[k]) for name, *values in rows} for k in (1, 2, 4))
+    assert len(rows) == 4 and colour["blocks, 16 bits"] > 27 and normal["blocks, 16 bits"] > 34
+    assert whole["neural, 16 bits"] > whole["neural, 8 bits"] > whole["blocks, 7 bits"] - 1
+    assert (tmp_path / "a.png").stat().st_size > 10000
+
+
 def test_small_networks_are_timed_beside_torch() -> None:
     pytest.importorskip("torch")
     told = run("neural_speed.py", "--widths", "8", "--threads", "1", "--points", "100", "--runs", "1", "--eager")
@@ -229,5 +240,6 @@ def test_every_script_is_run_here():
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
-             "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py", "time_model.py"}
+             "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py", "time_model.py",
+             "neural_material.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named
