@@ -87,8 +87,9 @@ def camera_axes(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def render(scene: mi.Scene, eye: np.ndarray, target: np.ndarray, tangent: float, size: tuple[int, int], rays: int,
-           seed: int) -> dict[str, np.ndarray] | None:
-    """One view, None if it shows too little; `tangent` is that of half the horizontal field of view."""
+           seed: int, most_open: float = 0.88) -> dict[str, np.ndarray] | None:
+    """One view, None if it shows too little; `tangent` is that of half the horizontal field of view, `most_open` the
+    mean visibility at the largest radius from which on a view shows too little."""
     width, height = size
     axes = camera_axes(eye, target)
     x, y = np.meshgrid((np.arange(width) + 0.5) / width * 2 - 1, 1 - (np.arange(height) + 0.5) / height * 2)
@@ -107,7 +108,7 @@ def render(scene: mi.Scene, eye: np.ndarray, target: np.ndarray, tangent: float,
     face = dr.select(dr.dot(found.n, ray.d) > 0, -found.n, found.n)
     normal = dr.select(dr.dot(found.sh_frame.n, face) > 0, found.sh_frame.n, -found.sh_frame.n)
     radii = np.array(RADII) * median
-    if np.mean(_visible(scene, found, face, normal, radii, 32, seed)[-1, hit]) > 0.88:
+    if np.mean(_visible(scene, found, face, normal, radii, 32, seed)[-1, hit]) > most_open:
         return None
     open_ = _visible(scene, found, face, normal, radii, rays, seed)
     world = np.array(normal).T
