@@ -47,6 +47,8 @@ LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
 DATA = (Role.DEPTH, Role.NORMAL, Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE)
 """Planes that are taken from one frame's nearest pixel."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+DARK = np.float32(0.05)
+"""Share of the middle light, summed over channels, that counts as dark."""
 LEAST_OF_CELLS = 64
 """Pixels along a picture's shorter side from which paths are found for cells of 2x2 pixels."""
 LEAST_SEARCHED = 240
@@ -210,17 +212,21 @@ class Between:
     def _toned(self) -> tuple[np.ndarray, np.ndarray]:
         """Grey pictures with margins (h + 2 MARGIN, w + 2 MARGIN), by which paths are compared."""
         h, w = self._size
-        some = 4 if min(self._size) >= 256 else 1  # of the pixels along a side tell how bright a picture is
-        light = [np.maximum(picture[::some, ::some] @ LUMINANCE, 0) for picture in self._pictures]
-        mean = float(np.mean(light)) + 1e-12
-        level = np.float32(4 * math.exp(float(np.mean(np.log(np.stack(light) + np.float32(1e-3 * mean))))))
         found = []
         for picture in self._pictures:
             toned = np.empty((h + 2 * MARGIN, w + 2 * MARGIN), np.float32)
-            _in_bands(h, tone_rows, picture, level, toned)
+            _in_bands(h, tone_rows, picture, self._level, toned)
             toned[:MARGIN], toned[h + MARGIN:] = toned[MARGIN], toned[h + MARGIN - 1]
             found.append(toned)
         return found[0], found[1]
+
+    @cached_property
+    def _level(self) -> np.float32:
+        """Light that is toned to about the middle: four times the geometric mean of both pictures."""
+        some = 4 if min(self._size) >= 256 else 1  # of the pixels along a side tell how bright a picture is
+        light = [np.maximum(picture[::some, ::some] @ LUMINANCE, 0) for picture in self._pictures]
+        mean = float(np.mean(light)) + 1e-12
+        return np.float32(4 * math.exp(float(np.mean(np.log(np.stack(light) + np.float32(1e-3 * mean))))))
 
     @cached_property
     def _matched(self) -> tuple[np.ndarray, np.ndarray]:
@@ -379,8 +385,8 @@ class Between:
         motion = np.empty((*self._size, 2) if Role.MOTION in after else (0, 0, 2), np.float32)
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and 1
         back = [np.float32((previous - t) * (previous - 1) / t), np.float32(previous * (previous - t) / (1 - t))]
-        _in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, self._masked, t, picture,
-                  *stacks[0], mixed, *stacks[1], taken, *back, motion)
+        _in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, self._masked, t,
+                  DARK * self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
         made = _split(mixed, light) | _split(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
         if Role.MOTION in after:

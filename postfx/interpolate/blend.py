@@ -114,10 +114,10 @@ def shares_of(first: Real, last: Real, t: Real) -> tuple[Real, Real]:
 
 
 @inline
-def settle(one: Real, other: Real, first: Real, last: Real) -> tuple[Real, Real]:
+def settle(one: Real, other: Real, first: Real, last: Real, dim: Real) -> tuple[Real, Real]:
     """Weights of the two frames: all for the nearer one where light differs that much that it is something else, such
-    as a spark, which a mean would show twice."""
-    apart = (min(one, other) > 0) & (max(first, last) > ELSE * max(min(first, last), TINY))
+    as a spark, which a mean would show twice. dim: light that counts as dark."""
+    apart = (min(one, other) > 0) & (max(first, last) > ELSE * max(min(first, last), dim))
     nearer = np.float32(one >= other)
     return (nearer, ONE - nearer) if apart else (one, other)
 
@@ -198,7 +198,7 @@ def weigh_known_row(paths: np.ndarray, known_before: np.ndarray, known_after: np
 
 @compiled
 def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.ndarray, shares: np.ndarray,
-               row: np.ndarray) -> None:
+               dim: Real, row: np.ndarray) -> None:
     """Colours (w, 3) of a row of pixels where cells are joined and no edge is near; NaN elsewhere. before, after: flat.
     """
     w = row.shape[0]
@@ -212,7 +212,7 @@ def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.
         one, other = shares[x, 0], shares[x, 1]
         a, b, c = cubic_three(before, ((j - 1) * w + i - 1) * 3, 3 * w, down, across, paths[x, 6])
         p, q, r = cubic_three(after, ((m - 1) * w + n - 1) * 3, 3 * w, under, beside, paths[x, 6])
-        one, other = settle(one, other, a + b + c, p + q + r)
+        one, other = settle(one, other, a + b + c, p + q + r, dim)
         row[x, 0], row[x, 1], row[x, 2] = one * a + other * p, one * b + other * q, one * c + other * r
 
 
@@ -259,7 +259,7 @@ def share_cells(flat: np.ndarray, p: int, q: int, r: int, s: int, across: Real, 
 
 @compiled
 def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
-            known_after: np.ndarray, y: int, t: Real, paths: np.ndarray, shares: np.ndarray, row: np.ndarray,
+            known_after: np.ndarray, y: int, t: Real, paths: np.ndarray, shares: np.ndarray, dim: Real, row: np.ndarray,
             mixture: np.ndarray) -> None:
     """Colours (w, 3) of those pixels of a row that are NaN: by their path between joined cells, or by those of the four
     cells around them, whose shares of the pixel (w, 4) are written to `mixture`."""
@@ -299,7 +299,7 @@ def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray
                     best, shares[x, 0], shares[x, 1] = share, first, last
                     for z in range(7):
                         paths[x, z] = path[z]
-            first, last = settle(first, last, a + b + c, p + q + r)
+            first, last = settle(first, last, a + b + c, p + q + r, dim)
             red, green, blue = (red + share * (first * a + last * p), green + share * (first * b + last * q),
                                 blue + share * (first * c + last * r))
             whole += share
@@ -361,14 +361,14 @@ def take_row(before: np.ndarray, after: np.ndarray, y: int, paths: np.ndarray, s
 
 @compiled
 def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray, after: np.ndarray,
-            known_before: np.ndarray, known_after: np.ndarray, masked: bool, t: Real, colour: np.ndarray,
+            known_before: np.ndarray, known_after: np.ndarray, masked: bool, t: Real, dim: Real, colour: np.ndarray,
             light_before: np.ndarray, light_after: np.ndarray, light: np.ndarray, data_before: np.ndarray,
             data_after: np.ndarray, data: np.ndarray, by_first: Real, by_last: Real, motion: np.ndarray) -> None:
     """The planes between: light is mixed, data is that of the nearest pixel in the frame that counts more.
 
     before, after, colour: (h, w, 3). light: (h, w, n) alpha, reflectances. data: (h, w, m) depth, normals, ids. motion:
     (h, w, 2) of pixels, or empty: what leads to both frames, times by_first and by_last. scale: pixels of a cell.
-    masked: whether anything is not known.
+    masked: whether anything is not known. dim: light (sum of three channels) that counts as dark.
     """
     h, w = colour.shape[:2]
     time, size = np.float32(t), np.float32(1 / scale)
@@ -380,8 +380,8 @@ def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray,
             weigh_known_row(paths, known_before, known_after, y, time, shares)
         else:
             weigh_row(paths, h, y, time, shares)
-        sample_row(flat_before, flat_after, h, y, paths, shares, colour[y])
-        mix_row(cells, size, before, after, known_before, known_after, y, time, paths, shares, colour[y], mixture)
+        sample_row(flat_before, flat_after, h, y, paths, shares, dim, colour[y])
+        mix_row(cells, size, before, after, known_before, known_after, y, time, paths, shares, dim, colour[y], mixture)
         if light.shape[2]:
             light_row(cells, size, light_before, light_after, known_before, known_after, y, time, paths, shares,
                       mixture, light[y])

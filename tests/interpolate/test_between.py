@@ -170,6 +170,16 @@ def test_a_spark_without_vectors_is_shown_once(t):
     np.testing.assert_array_equal(found, frames[round(t)][Role.COLOUR], "as in the nearer frame")
 
 
+def test_what_is_dark_in_one_frame_and_black_in_the_other_is_mixed():
+    frames = []
+    for number, dark in ((1, 1e-3), (2, 0.0)):
+        colour = np.ones((64, 96, 3), np.float32)
+        colour[20:40, 30:60] = dark
+        frames.append(Frame({Role.COLOUR: colour, Role.MOTION: np.zeros((64, 96, 2), np.float32)}, number=number))
+    found = Between(*frames, flow=False).frame(0.5)[Role.COLOUR]
+    np.testing.assert_allclose(found[25:35, 35:55], 5e-4, rtol=1e-5)
+
+
 def test_motion_of_the_frame_after_leads_to_the_new_one(scene):
     found = Between(scene(0), scene(1)).motion_of_after(0.75)
     np.testing.assert_allclose(found, scene(1, step=0.25)[Role.MOTION], atol=1e-5)
