@@ -47,8 +47,6 @@ LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
 DATA = (Role.DEPTH, Role.NORMAL, Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE)
 """Planes that are taken from one frame's nearest pixel."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-DARK = np.float32(0.05)
-"""Share of the middle light, summed over channels, that counts as dark."""
 LEAST_OF_CELLS = 64
 """Pixels along a picture's shorter side from which paths are found for cells of 2x2 pixels."""
 LEAST_SEARCHED = 240
@@ -386,7 +384,7 @@ class Between:
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and 1
         back = [np.float32((previous - t) * (previous - 1) / t), np.float32(previous * (previous - t) / (1 - t))]
         _in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, self._masked, t,
-                  DARK * self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
+                  self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
         made = _split(mixed, light) | _split(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
         if Role.MOTION in after:

@@ -33,8 +33,9 @@ ALIKE, UNSURE, TINY = np.float32(0.05**2), np.float32(0.2), np.float32(1e-6)
 only one frame shows a point; light below which nothing counts."""
 COVERED = 0.98
 """Coverage from which an overlay hides the picture."""
-ELSE = np.float32(60)
-"""How many times as bright as in the other frame something is that only one of them shows."""
+ELSE, DARK = np.float32(60), np.float32(0.05)
+"""How many times as bright as in the other frame something is that only one of them shows, and the share of the middle
+light, summed over channels, that counts as dark there."""
 Cell: TypeAlias = tuple[Real, Real, Real, Real, Real, Real, Real]
 """A path of a cell, and how sharp the pictures are there."""
 Taps: TypeAlias = tuple[Real, Real, Real, Real]
@@ -361,17 +362,17 @@ def take_row(before: np.ndarray, after: np.ndarray, y: int, paths: np.ndarray, s
 
 @compiled
 def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray, after: np.ndarray,
-            known_before: np.ndarray, known_after: np.ndarray, masked: bool, t: Real, dim: Real, colour: np.ndarray,
+            known_before: np.ndarray, known_after: np.ndarray, masked: bool, t: Real, level: Real, colour: np.ndarray,
             light_before: np.ndarray, light_after: np.ndarray, light: np.ndarray, data_before: np.ndarray,
             data_after: np.ndarray, data: np.ndarray, by_first: Real, by_last: Real, motion: np.ndarray) -> None:
     """The planes between: light is mixed, data is that of the nearest pixel in the frame that counts more.
 
     before, after, colour: (h, w, 3). light: (h, w, n) alpha, reflectances. data: (h, w, m) depth, normals, ids. motion:
     (h, w, 2) of pixels, or empty: what leads to both frames, times by_first and by_last. scale: pixels of a cell.
-    masked: whether anything is not known. dim: light (sum of three channels) that counts as dark.
+    masked: whether anything is not known. level: light in the middle between dark and bright.
     """
     h, w = colour.shape[:2]
-    time, size = np.float32(t), np.float32(1 / scale)
+    time, size, dim = np.float32(t), np.float32(1 / scale), DARK * np.float32(level)
     flat_cells, flat_before, flat_after = cells.reshape(-1), before.reshape(-1), after.reshape(-1)
     paths, shares, mixture = np.empty((w, 8), np.float32), np.empty((w, 2), np.float32), np.empty((w, 4), np.float32)
     for y in range(y0, y1):
