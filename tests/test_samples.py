@@ -159,6 +159,15 @@ def test_a_network_improves_ambient_occlusion(tmp_path):
 
 
 @pytest.mark.skipif(find_spec("matplotlib") is None, reason="postfx-render[bench] is not installed")
+def test_a_network_shades_frames_that_it_has_not_seen(tmp_path):
+    told = run("neural_shading.py", str(tmp_path / "a.png"), "--steps", "250")
+    rows = re.findall(r"(?m)^frame ([36]): shaded ([\d.]+) dB, the noisy render ([\d.]+)", told)
+    assert [number for number, *_ in rows] == ["3", "6"]
+    assert all(float(shaded) > 22 > float(noisy) + 6 for _, shaded, noisy in rows)
+    assert (tmp_path / "a.png").stat().st_size > 50000
+
+
+@pytest.mark.skipif(find_spec("matplotlib") is None, reason="postfx-render[bench] is not installed")
 def test_a_neural_material_is_better_than_coarser_blocks(tmp_path):
     pytest.importorskip("torch")
     told = run("neural_material.py", str(tmp_path / "a.png"), "--size", "64", "--steps", "400")
@@ -241,5 +250,5 @@ def test_every_script_is_run_here():
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
              "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py", "time_model.py",
-             "neural_material.py"}
+             "neural_material.py", "neural_shading.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

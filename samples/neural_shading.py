@@ -1,0 +1,130 @@
+"""Neural deferred shading of one scene: a small network learns its light from frames, and shades others from planes.
+
+python samples/neural_shading.py [PICTURE] [--noisy PATTERN --reference PATTERN] [--held-out 3 6] [--steps 4000]
+
+The network, 33-64-64-64-3, reads position with four bands of Fourier features, normal and reflected view direction, and
+gives the logarithm of light without reflectance, which the albedos put back. It learns from the references of all
+frames but the held-out ones, at render size, by the fused kernels of postfx.neural, and shades the held-out ones in a
+command buffer. Also measured: their nearest learnt frame as it is. Prints PSNR after x/(1+x) and the sRGB curve, and
+frames a second; draws the held-out frames. Needs matplotlib.
+"""
+import argparse
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from sky import shown
+
+import postfx
+from postfx import Device, Frame, Role, integrate
+from postfx.neural import Learner, Network
+
+ROOM = Path(__file__).parent / "room"
+AXES = {"right": "-x", "forward": "+z"}
+"""Of Mitsuba's cameras."""
+BATCH, EMITTER = 8192, 0.005
+
+
+def reflectance_of(frame: Frame) -> np.ndarray:
+    """What light is divided by: diffuse and specular albedo with a floor, 1 for lamps and misses."""
+    total = frame[Role.DIFFUSE_ALBEDO] + frame[Role.SPECULAR_ALBEDO]
+    peak = total.max(-1, keepdims=True)
+    return np.where(peak < EMITTER, 1, np.maximum(total, 0.15 * peak) + 0.01)
+
+
+def points_of(frame: Frame, middle: np.ndarray, reach: float) -> np.ndarray:
+    """What the network reads of each pixel: (pixels, 9), about within -1..1."""
+    height, width = frame[Role.DEPTH].shape[:2]
+    clip = frame.world_to_camera @ integrate.perspective(frame.fov_x, width, height, **AXES)
+    places = integrate.positions_from_depth(frame[Role.DEPTH], clip, frame.jitter)
+    ways = integrate.view_rays(width, height, clip, frame.jitter)[1]
+    ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
+    normal = frame[Role.NORMAL]
+    mirrored = ways - 2 * (ways * normal).sum(-1, keepdims=True) * normal
+    inner = np.clip((places - middle) / reach, -1.5, 1.5)
+    return np.concatenate([inner, normal, mirrored], -1).reshape(-1, 9).astype(np.float32)
+
+
+def light_of(reference: Frame, frame: Frame) -> np.ndarray:
+    """The reference at the frame's size: mean over the pixels in each of its own."""
+    (h, w), colour = frame[Role.DEPTH].shape[:2], reference[Role.COLOUR]
+    by = len(colour) // h
+    return colour.reshape(h, by, w, by, 3).mean((1, 3))
+
+
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "neural_shading.png")
+parser.add_argument("--noisy", default=str(ROOM / "noisy.####.exr"), help="whose planes are read")
+parser.add_argument("--reference", default=str(ROOM / "reference.####.exr"))
+parser.add_argument("--held-out", type=int, nargs="+", default=[3, 6], help="frames that are not learnt")
+parser.add_argument("--steps", type=int, default=4000)
+parser.add_argument("--threads", type=int, default=1)
+chosen = parser.parse_args()
+
+frames, random = list(postfx.read_sequence(chosen.noisy)), np.random.default_rng(0)
+wanted = {frame.number: light_of(reference, frame) for frame, reference in
+          zip(frames, postfx.read_sequence(chosen.reference), strict=True)}
+known = [frame for frame in frames if frame.number not in chosen.held_out]
+held = [frame for frame in frames if frame.number in chosen.held_out]
+raw = []
+for frame in known:
+    height, width = frame[Role.DEPTH].shape[:2]
+    clip = frame.world_to_camera @ integrate.perspective(frame.fov_x, width, height, **AXES)
+    raw.append(integrate.positions_from_depth(frame[Role.DEPTH], clip, frame.jitter)[frame[Role.DEPTH][..., 0] < 1e9])
+low, high = np.quantile(np.concatenate(raw), (0.01, 0.99), axis=0)
+middle, reach = (low + high) / 2, float((high - low).max() / 2)
+points = np.concatenate([points_of(frame, middle, reach) for frame in known])
+targets = np.concatenate([np.log1p(wanted[frame.number] / reflectance_of(frame)).reshape(-1, 3) for frame in known])
+
+device, network = Device("cpu", threads=chosen.threads), Network(9, (64, 64, 64), 3, "gelu", bands=4, encoded=3)
+learner, began = Learner(device, network, seed=0), time.process_time()
+some = device.heap.tensor("points", (BATCH, 9)), device.heap.tensor("targets", (BATCH, 3))
+for step in range(chosen.steps):
+    learner.set_rate(2e-3 * (1 + np.cos(np.pi * step / chosen.steps)) + 1e-6)
+    picked = random.integers(len(points), size=BATCH)
+    for tensor, values in zip(some, (points, targets), strict=True):
+        tensor.upload(values[picked])
+    commands = device.command_buffer("learn")
+    with commands.compute_encoder("learn") as encoder:
+        learner.learn(encoder, *some)
+    commands.commit()
+    commands.wait()
+print(f"{len(points)} pixels of {len(known)} frames, {network.count} parameters, learnt in "
+      f"{time.process_time() - began:.0f} s of the processor")
+
+
+def psnr(found: np.ndarray, truth: np.ndarray) -> float:
+    return float(-10 * np.log10(np.mean((shown(np.maximum(found, 0)) - shown(truth)) ** 2)))
+
+
+rows, times, pictures = [], [], []
+for frame in held:
+    truth, places = wanted[frame.number], device.wrap("points", points_of(frame, middle, reach))
+    values = device.heap.tensor("values", (truth.shape[0] * truth.shape[1], 3))
+    for _ in range(5):
+        commands = device.command_buffer("shade")
+        with commands.compute_encoder("shade") as encoder:
+            learner.run(encoder, places, values)
+        commands.commit()
+        commands.wait()
+        times.append(sum(taken for _, taken in commands.timings))
+    found = np.expm1(np.clip(values.array.reshape(truth.shape), 0, 20)) * reflectance_of(frame)
+    near = min(known, key=lambda other: abs(other.number - frame.number))
+    rows.append((psnr(found, truth), psnr(frame[Role.COLOUR], truth), psnr(wanted[near.number], truth)))
+    pictures.append((f"frame {frame.number}: reference", truth))
+    pictures.append((f"shaded, {rows[-1][0]:.1f} dB", found))
+    print(f"frame {frame.number}: shaded {rows[-1][0]:.2f} dB, the noisy render {rows[-1][1]:.2f}, frame "
+          f"{near.number} as it is {rows[-1][2]:.2f}")
+print(f"mean {np.mean([row[0] for row in rows]):.2f} dB; {1000 / statistics.median(times):.0f} frames a second of "
+      f"{held[0][Role.DEPTH].shape[1]}x{held[0][Role.DEPTH].shape[0]}, the network alone")
+
+figure = Figure((10, 3 * len(held)), layout="constrained")
+for panel, (name, picture) in zip(figure.subplots(len(held), 2).ravel(), pictures, strict=True):
+    panel.imshow(shown(np.maximum(picture, 0)))
+    panel.set_title(name)
+    panel.axis("off")
+figure.savefig(chosen.picture, dpi=80)
+print(f"wrote {chosen.picture}")
