@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import postfx
-from postfx.errors import PassOptionError
+from postfx.errors import DeviceError, PassOptionError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.models import CLASSIC
@@ -88,6 +88,18 @@ def test_it_runs_where_no_network_fits_the_budget_and_the_history_goes_on() -> N
     assert chosen[:3] == ["s"] * 3 and chosen[-1] == CLASSIC
     history = upscaler.history()
     assert history["next_state"][..., 3].min() > 3 and f"network {CLASSIC}" in history
+
+
+def test_it_needs_the_compiled_kernels_of_a_cpu() -> None:
+    """Elsewhere it is an error of one line, and no rung of a budget."""
+    device = Device("cpu", threads=2, compiled_kernels=False)
+    with pytest.raises(DeviceError, match="no kernels for this device, 'cpu': give the device cpu with"):
+        run([noisy(1)], device)
+    upscaler = DenoiseUpscale(budget=0.01)
+    chain = Pipeline([upscaler], device, exposure=0.0)
+    for number in range(1, 5):
+        chain(flat(number, 0.7))
+    assert upscaler.choice() == "s"
 
 
 def test_parts_need_a_network() -> None:

@@ -13,7 +13,7 @@ from typing import ClassVar, Never
 import numpy as np
 
 from postfx.caching import LRUCache
-from postfx.errors import FrameError, PassOptionError
+from postfx.errors import DeviceError, FrameError, PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.kernels.denoise import GAIN
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
@@ -143,6 +143,9 @@ class DenoiseUpscale(Pass):
         return self.strength > 0 and spec.has(Role.MOTION)
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
+        if self._tag == CLASSIC and self.strength and not device.runs_rows:
+            raise DeviceError(f"model 'classic' has no kernels for this device, '{device.name}': give the device cpu "
+                              "with compiled kernels, or a network")
         self._device, self._output = device, self.reflect(spec).output
         self._savings = Savings()
         if self.strength:
