@@ -10,7 +10,7 @@ frame, and a network's from this.
   and down, in which planes are straight; ``factor``.
 - `ATROUS`: one pass over `light`, with taps ``step`` (1,) pixels apart -> ``smooth``, the same.
 - `RESOLVE`: light, with reflectance again -> output and next_history: samples weighted by their distance from the
-  output's pixel. To blend that with the last output changes PSNR by -0.7 to 0.3 dB and takes a quarter more time.
+  output's pixel. A blend with the last output takes half as much time again for -0.7 to 0.3 dB, in fog 0.9.
 """
 
 import numpy as np
