@@ -11,7 +11,7 @@ import pytest
 from postfx.cli.main import main
 from postfx.errors import FrameError, SequenceError
 from postfx.frame import Frame, Role
-from postfx.io.estimated_motion import motion_of
+from postfx.io.estimated_motion import motion_of, picture_of
 from postfx.io.sequence import Sequence
 from tests.integrate.pinhole import hit_plane, hit_sphere, turned
 
@@ -81,6 +81,16 @@ def test_a_thing_that_moves_keeps_its_own_motion() -> None:
     assert np.nanmedian(missed[ball]) < 1, "by flow"
     camera = seen_at(points, *BEFORE) - seen_at(points, EYE, AXES)
     assert np.median(np.linalg.norm(camera - truth, axis=-1)[ball]) > 5
+
+
+def test_a_lamp_that_is_written_as_albedo_does_not_outshine_the_picture() -> None:
+    def picture(lamp: float) -> np.ndarray:
+        albedo = np.full((32, 32, 3), 0.5, np.float32)
+        albedo[8:12, 8:12] = lamp
+        return picture_of(Frame({Role.COLOUR: albedo, Role.DIFFUSE_ALBEDO: albedo})).values
+
+    np.testing.assert_array_equal(picture(1000.0), picture(1.5))
+    assert (picture(1.5) > picture(1.0)).any()
 
 
 def test_zero_at_rest_at_a_cut_and_without_a_frame_before() -> None:
