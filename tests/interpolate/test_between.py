@@ -10,6 +10,7 @@ import pytest
 from postfx import Between, Interpolator
 from postfx.errors import FrameError
 from postfx.frame import Frame, PartSource, Role
+from postfx.interpolate.blend import find_overlay
 from tests.interpolate.conftest import DISC, HEIGHT, RADIUS, SIZE, WIDTH, picture
 
 INNER = np.s_[8:-8, 8:-8]
@@ -288,3 +289,16 @@ def test_pictures_for_a_display_and_tiny_ones(scene):
         Between(scene(0), replace(scene(1), encoding="srgb"))
     tiny = [Frame({Role.COLOUR: np.full((3, 5, 3), value, np.float32)}) for value in (1, 3)]
     np.testing.assert_allclose(Between(*tiny).frame(0.5)[Role.COLOUR], 2)
+
+
+@pytest.mark.parametrize(("points", "reach", "found"), [
+    ([(4, 4), (4, 5), (8, 2), (9, 2)], 0, 4),  # each has an edge on one side alone: right, left, below and above
+    ([(6, 6), *((6 + s, 6) for s in range(-4, 5) if s), *((6, 6 + s) for s in range(-4, 5) if s)], 2, 1 + 4 * 3),
+])
+def test_an_overlay_in_the_picture_is_found_by_its_edges_and_grown(points, reach, found):
+    before, after = np.random.default_rng(0).random((2, 13, 13, 3), np.float32)
+    for place, at in enumerate(points):  # the first differs from those beside it, as does each one of a pair
+        before[at] = after[at] = 1.0 if place % 2 == 0 and (reach == 0 or place == 0) else 0.5
+    known = np.ones((13, 13), np.bool_)
+    find_overlay(before, after, np.ones((13, 13, 2), np.float32), reach, known)
+    assert (~known).sum() == found and not known[points[0]]
