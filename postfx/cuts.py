@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from postfx.frame import DEPTH_MISS, Frame, Role
-from postfx.kernels.image import box_means, half_means, moments
-from postfx.sampling import bilinear, is_inside
+from postfx.kernels.statistics import band_of, half_means, mix_places, pair_means, places_inside, true_correlation
+from postfx.sampling import bilinear
 
 RELATED = 0.65
 """Correlation from which two frames are of one shot; see docs/howto/integration.md."""
@@ -33,7 +33,8 @@ LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors, doublings."""
 
 
-class Picture(NamedTuple):
+@dataclass(frozen=True)
+class Picture:
     """One frame on the coarse grid.
 
     Attributes:
@@ -41,12 +42,20 @@ class Picture(NamedTuple):
         guides: role -> (rows, columns, 2, channels) with layout: diffuse albedo, normal, log2 of depth.
         motion: (rows, columns, 2) in cells, or None.
         cell: height and width of a cell as parts of the frame's.
+        bands: role -> a guide without layout, of those that were compared so far.
     """
 
     light: np.ndarray
     guides: dict[Role, np.ndarray]
     motion: np.ndarray | None
     cell: tuple[float, float]
+    bands: dict[Role, np.ndarray] = field(default_factory=dict)
+
+    def band(self, role: Role) -> np.ndarray:
+        """A guide without layout."""
+        if role not in self.bands:
+            self.bands[role] = _band(self.guides[role])
+        return self.bands[role]
 
 
 class CutDetector:
@@ -72,10 +81,10 @@ class CutDetector:
         """What the next answer depends on beside its frame."""
         if self._before is None:
             return {}
-        light, guides, motion, cell = self._before
-        known = {"light": light, "cell": np.array(cell, np.float64)}
-        known |= {f"guide {role}": one for role, one in guides.items()}
-        return known if motion is None else known | {"motion": motion}
+        before = self._before
+        known = {"light": before.light, "cell": np.array(before.cell, np.float64)}
+        known |= {f"guide {role}": one for role, one in before.guides.items()}
+        return known if before.motion is None else known | {"motion": before.motion}
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         """Go on as a detector that had this `history`."""
@@ -144,12 +153,8 @@ def _picture(frame: Frame) -> Picture | None:
 def _cells(plane: np.ndarray, block: int) -> np.ndarray:
     """(rows, columns, 2, channels): means of two pairs of pixels of each whole block; such planes have little noise."""
     rows, columns = (side // block for side in plane.shape[:2])
-    near = block // 4
-    far = block - 1 - near
-    corners = [(y, x) for y in (near, far) for x in (near, far)]
-    at = {(y, x): plane[y::block, x::block][:rows, :columns].astype(np.float64) for y, x in corners}
-    halves = (at[near, near] + at[far, far]) / 2, (at[near, far] + at[far, near]) / 2
-    cells: np.ndarray = np.nan_to_num(np.stack(halves, axis=2), posinf=0, neginf=0)
+    cells = np.empty((rows, columns, 2, plane.shape[2]))
+    pair_means(plane, block, cells)
     return cells
 
 
@@ -163,15 +168,10 @@ def _log_depth(depth: np.ndarray) -> np.ndarray:
 
 def _band(planes: np.ndarray) -> np.ndarray:
     """(rows, columns, ...) without the finest noise and without what is wide."""
-    band: np.ndarray = _box(planes, SMOOTH) - _box(planes, BAND)
+    band = np.empty(planes.shape)
+    rows, columns = planes.shape[:2]
+    band_of(np.ascontiguousarray(planes).reshape(rows, columns, -1), SMOOTH, BAND, band.reshape(rows, columns, -1))
     return band
-
-
-def _box(planes: np.ndarray, width: int) -> np.ndarray:
-    """Mean over width x width cells, edges repeated."""
-    means = np.empty((*planes.shape[:2], planes[0, 0].size))
-    box_means(np.ascontiguousarray(planes, np.float64).reshape(means.shape), width, means)
-    return means.reshape(planes.shape)
 
 
 def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
@@ -179,47 +179,34 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
 
     None where no plane tells anything, 0 where the motion leads out of the frame before.
     """
-    rows, columns = motion.shape[:2]
-    y = np.arange(rows)[:, None] + motion[..., 1]
-    x = np.arange(columns)[None, :] + motion[..., 0]
-    inside = is_inside(now.light, x, y)
-    if inside.sum() < max(LEAST_COMPARED, LEAST_OVERLAP * inside.size):
+    cells = motion[..., 0].size
+    x, y, numbers = np.empty(cells), np.empty(cells), np.empty(cells, np.int64)
+    count = places_inside(motion, x, y, numbers)
+    if count < max(LEAST_COMPARED, LEAST_OVERLAP * cells):
         return 0.0
-    x, y = x[inside], y[inside]
-    light_before, light_now = bilinear(before.light, x, y), now.light[inside]
-    light = _true_correlation(light_before[..., None], light_now[..., None], LEAST_SPREAD["light"])
+    places = x[:count], y[:count], numbers[:count]
+    light = _correlation(before.light, now.light, places, LEAST_SPREAD["light"])
     if light is not None and light >= RELATED:
         return light
-    guides = [
-        _true_correlation(bilinear(_band(before.guides[role]), x, y), _band(plane)[inside], LEAST_SPREAD[role])
-        for role, plane in now.guides.items()
-        if role in before.guides
-    ]
+    guides = [_correlation(before.band(role), now.band(role), places, LEAST_SPREAD[role])
+              for role in now.guides if role in before.guides]
     known = [value for value in guides if value is not None]
     values = ([float(np.mean(known))] if known else []) + ([light] if light is not None else [])
     return max(values) if values else None
 
 
-def _true_correlation(before: np.ndarray, now: np.ndarray, least_spread: float) -> float | None:
-    """Correlation of (cells, 2 halves, channels) as it would be without noise; None where there is little else."""
-    reliabilities = _reliability(before), _reliability(now)
-    raw = _correlation((before[:, 0] + before[:, 1]) / 2, (now[:, 0] + now[:, 1]) / 2, least_spread)
-    if raw is None or min(reliabilities) < LEAST_RELIABILITY:
-        return None
-    return raw / math.sqrt(reliabilities[0] * reliabilities[1])
-
-
-def _reliability(halves: np.ndarray) -> float:
-    """Share of the variance of the mean of two halves that is not noise (Spearman-Brown)."""
-    between = _correlation(halves[:, 0], halves[:, 1], 0.0) or 0.0
-    return max(2 * between / (1 + between), 0.0)
-
-
-def _correlation(a: np.ndarray, b: np.ndarray, least_spread: float) -> float | None:
-    """Pearson's correlation of (cells, channels), all channels together; None where one of the two hardly varies."""
-    square_a, square_b, both = moments(a, b)
-    spread_a, spread_b = math.sqrt(square_a), math.sqrt(square_b)
-    return both / (spread_a * spread_b) if min(spread_a, spread_b) > least_spread else None
+def _correlation(
+    before: np.ndarray, now: np.ndarray, places: tuple[np.ndarray, np.ndarray, np.ndarray], least_spread: float
+) -> float | None:
+    """Correlation of cells (rows, columns, 2 halves, ...) with what was at their places, as it would be without noise;
+    None where there is little else."""
+    x, y, numbers = places
+    rows, columns = now.shape[:2]
+    flat = now.reshape(rows * columns, 2, -1)
+    then = np.empty((numbers.size, 2, flat.shape[2]))
+    mix_places(before.reshape(rows, columns, -1), x, y, then.reshape(numbers.size, -1))
+    found = true_correlation(then, flat.take(numbers, axis=0), least_spread, LEAST_RELIABILITY)
+    return None if math.isnan(found) else float(found)
 
 
 def _shift(before: Picture, now: Picture) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from postfx.errors import OptionError
 from postfx.frame import Frame, Role
+from postfx.kernels.statistics import INFINITY_BITS, largest_bits
 from postfx.system import Scratch
 
 ROWS = 256
@@ -56,9 +57,10 @@ def is_unusable(frame: Frame, counts: dict[Role, int]) -> bool:
 
 def find_nonfinite(plane: np.ndarray, role: Role, scratch: Scratch | None = None) -> np.ndarray | None:
     """(height, width) bool: pixels of a plane (height, width, C) that are not finite; None where all are."""
-    is_bad = np.isnan if role is Role.DEPTH else _is_not_finite
-    if not any(is_bad(band).any() for band in _bands(plane, scratch)):
+    most = INFINITY_BITS if role is Role.DEPTH else INFINITY_BITS - np.uint32(1)
+    if not any(largest_bits(band.view(np.uint32).reshape(-1)) > most for band in _bands(plane, scratch)):
         return None
+    is_bad = np.isnan if role is Role.DEPTH else _is_not_finite
     return np.concatenate([is_bad(band).any(axis=2) for band in _bands(plane, scratch)])
 
 

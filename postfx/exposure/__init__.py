@@ -16,7 +16,7 @@ import numpy as np
 from postfx.errors import ExposureError, PostfxError
 from postfx.files import read_ahead
 from postfx.frame import Frame, Role
-from postfx.kernels.image import block_means
+from postfx.kernels.statistics import block_means
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence as FrameSequence
@@ -56,8 +56,8 @@ def measure(colour: np.ndarray) -> float | None:
     if light.size == 0:
         return None
     log = np.log2(light)
-    low = np.percentile(log, PERCENTILES[0], method="lower")  # members of the set: two blocks have no inside
-    high = np.percentile(log, PERCENTILES[1], method="higher")
+    in_order, low_at, high_at = np.sort(log), *((log.size - 1) * (percent / 100) for percent in PERCENTILES)
+    low, high = in_order[math.floor(low_at)], in_order[math.ceil(high_at)]  # members: two blocks have no inside
     inner = np.maximum(log[(log >= low) & (log <= high)], high - RANGE_EV)
     return float(np.clip(math.log2(KEY) - inner.mean(), *LIMITS_EV))
 

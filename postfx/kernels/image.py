@@ -1,13 +1,11 @@
-"""Kernels of whole pictures: resampling, transparency overlays, a checkerboard, and statistics of their cells.
+"""Kernels of whole pictures: resampling, transparency overlays, a checkerboard, and comparing places.
 
 - Cubic resampling of any plane to another size.
 - Overlays of premultiplied RGBA: cubic enlarging without halos, and compositing.
 - A checkerboard of two greys (float32): rows (height,) and columns (width,) alternate between 0 and 1 from cell to
   cell; greys (2,) are of cells where both are equal and of the others; output (height, width, 3). The torch definition
   is `training.kernels.tonemap.Checkerboard`.
-- On the host, before a frame is uploaded: means and moments of a coarse grid's cells, by which cuts are found; whether
-  a cell holds anything positive; block averages of luminance, on which exposure is metered; and how far points of a
-  picture are from another one at many places, by which the doctor tries motion.
+- On the host: how far points of a picture are from another one at many places, by which the doctor tries motion.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from postfx.kernels import Kernel
-from postfx.kernels.numeric import Real, add, clamp, compiled, inline, vectorised
+from postfx.kernels.numeric import Real, clamp, compiled, inline
 
 ZERO, ONE, INFINITE = np.float32(0), np.float32(1), np.float32(np.inf)
 MARGIN = 5  # pixels beside a row, so that no tap lies outside
@@ -329,109 +327,6 @@ CHECKERBOARD = Kernel(
     row_axis=("output", 0),
     shapes={"rows": ("height",), "columns": ("width",), "greys": (2,), "output": ("height", "width", 3)},
 )
-
-
-@compiled
-def box_means(planes: np.ndarray, width: int, means: np.ndarray) -> None:
-    """Mean over width x width cells, an odd number, edges repeated; planes (rows, columns, channels) to the same."""
-    rows, columns, channels = planes.shape
-    near, share = width // 2, 1.0 / (width * width)
-    flat, written = planes.reshape(rows, columns * channels), means.reshape(rows, columns * channels)
-    line = np.empty((columns + 2 * near) * channels)
-    inner = line[near * channels:(near + columns) * channels]
-    for y in range(rows):
-        inner[:] = 0.0
-        for v in range(y - near, y + near + 1):
-            add(flat[min(max(v, 0), rows - 1)], inner)
-        for i in range(near * channels):
-            line[i] = inner[i % channels]
-            line[(near + columns) * channels + i] = inner[(columns - 1) * channels + i % channels]
-        written[y] = 0.0
-        for u in range(width):
-            add(line[u * channels:], written[y])
-        for i in range(written.shape[1]):
-            written[y, i] *= share
-
-
-@vectorised
-def products(a: np.ndarray, b: np.ndarray, mean_a: Real, mean_b: Real) -> tuple[Real, Real, Real]:
-    """Sums of squares and of products of two channels without their means."""
-    square_a = square_b = both = 0.0
-    for i in range(a.size):
-        x, y = a[i] - mean_a, b[i] - mean_b
-        square_a, square_b, both = square_a + x * x, square_b + y * y, both + x * y
-    return square_a, square_b, both
-
-
-@compiled
-def moments(a: np.ndarray, b: np.ndarray) -> tuple[Real, Real, Real]:
-    """Mean square of two sets of cells (cells, channels) without the means of their channels, and mean product."""
-    cells, channels = a.shape
-    square_a = square_b = both = 0.0
-    for c in range(channels):
-        of_a, of_b = np.ascontiguousarray(a[:, c]), np.ascontiguousarray(b[:, c])
-        found = products(of_a, of_b, of_a.sum() / cells, of_b.sum() / cells)
-        square_a, square_b, both = square_a + found[0], square_b + found[1], both + found[2]
-    count = cells * channels
-    return square_a / count, square_b / count, both / count
-
-
-@compiled
-def mark_positive(plane: np.ndarray, side: int, cells: np.ndarray) -> None:
-    """Set cells of side x side pixels in which a plane (h, w, 1) is positive anywhere."""
-    for y in range(plane.shape[0]):
-        for x in range(plane.shape[1]):
-            if plane[y, x, 0] > 0:
-                cells[y // side, x // side] = True
-
-
-@inline
-def luminance(colour: np.ndarray, y: int, x: int) -> Real:
-    """Luminance of a pixel of Rec.709."""
-    return 0.2126 * colour[y, x, 0] + 0.7152 * colour[y, x, 1] + 0.0722 * colour[y, x, 2]
-
-
-@compiled
-def block_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
-    """Mean luminance of each block x block pixels without the brightest; colour (h, w, 3) -> means (rows, columns).
-
-    Non-finite pixels are left out, negative ones count as 0. Averaging keeps the noise of one sample a pixel out of
-    the logarithm that follows, which would read it as darkness; without the brightest pixel a firefly is no light.
-    """
-    for j in range(means.shape[0]):
-        for i in range(means.shape[1]):
-            total, brightest, count = 0.0, 0.0, 0
-            for y in range(j * block, min((j + 1) * block, colour.shape[0])):
-                for x in range(i * block, min((i + 1) * block, colour.shape[1])):
-                    value = luminance(colour, y, x)
-                    if abs(value) < np.inf:  # false for NaN too
-                        value = max(value, 0.0)
-                        total += value
-                        brightest = max(brightest, value)
-                        count += 1
-            means[j, i] = (total - brightest) / (count - 1) if count > 1 else total
-
-
-@compiled
-def half_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
-    """Mean luminance of the two halves of each whole block; colour (h, w, 3) -> means (2, rows, columns).
-
-    The halves are the even and the odd rows, so they show the same with other noise. The brightest pixel of each is
-    left out, as by `block_means`; pixels that are not finite and negative ones count as 0.
-    """
-    for half in range(2):
-        for j in range(means.shape[1]):
-            for i in range(means.shape[2]):
-                total, brightest, count = 0.0, 0.0, 0
-                for y in range(j * block + half, (j + 1) * block, 2):
-                    for x in range(i * block, (i + 1) * block):
-                        value = luminance(colour, y, x)
-                        if abs(value) < np.inf:  # false for NaN too
-                            value = max(value, 0.0)
-                            total += value
-                            brightest = max(brightest, value)
-                    count += block
-                means[half, j, i] = (total - brightest) / (count - 1)
 
 
 @compiled

@@ -5,7 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.kernels.image import block_means, box_means, compare_places, half_means, mark_positive, moments
+from postfx.kernels.image import compare_places
+from postfx.kernels.statistics import (
+    INFINITY_BITS,
+    band_of,
+    block_means,
+    half_means,
+    largest_bits,
+    mark_positive,
+    mix_places,
+    moments,
+    pair_means,
+    places_inside,
+    true_correlation,
+)
 from postfx.sampling import bilinear, is_inside
 
 RANDOM = np.random.default_rng(0)
@@ -58,13 +71,60 @@ def test_compared_places(size: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("size", [(1, 1, 1), (3, 40, 2), (45, 80, 6)], ids=str)
-@pytest.mark.parametrize("width", [1, 3, 17])
-def test_box_means(size: tuple[int, int, int], width: int) -> None:
-    planes, found, near = RANDOM.normal(size=size), np.empty(size), width // 2
-    padded = np.pad(planes, ((near, near), (near, near), (0, 0)), "edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (width, width), (0, 1))
-    box_means(planes, width, found)
-    np.testing.assert_allclose(found, windows.mean((3, 4)), rtol=0, atol=1e-14)
+@pytest.mark.parametrize("widths", [(1, 3), (3, 17)])
+def test_bands(size: tuple[int, int, int], widths: tuple[int, int]) -> None:
+    planes, found, wanted = RANDOM.normal(size=size), np.empty(size), np.zeros(size)
+    for width, sign in zip(widths, (1, -1), strict=True):
+        near = width // 2
+        padded = np.pad(planes, ((near, near), (near, near), (0, 0)), "edge")
+        wanted += sign * np.lib.stride_tricks.sliding_window_view(padded, (width, width), (0, 1)).mean((3, 4))
+    band_of(planes, *widths, found)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("value", [np.nan, -np.nan, np.inf, -np.inf, 3e38, -1.0, 0.0])
+def test_largest_bits(value: float) -> None:
+    plane = RANDOM.random(1001).astype(np.float32)
+    plane[497] = value
+    bits = largest_bits(plane.view(np.uint32))
+    assert (bits >= INFINITY_BITS) == (not np.isfinite(value))
+    assert (bits > INFINITY_BITS) == np.isnan(value)
+
+
+@pytest.mark.parametrize("block", [4, 5, 12])
+def test_pair_means(block: int) -> None:
+    plane = RANDOM.random((3 * block + 2, 5 * block + 1, 2)).astype(np.float32)
+    near, far = block // 4, block - 1 - block // 4
+    plane[near, near, 0] = np.inf
+    plane[2 * block + far, near, 1] = np.nan
+    at = {(y, x): plane[y::block, x::block].astype(float)[:3, :5] for y in (near, far) for x in (near, far)}
+    pairs = [(at[near, near] + at[far, far]) / 2, (at[near, far] + at[far, near]) / 2]
+    found = np.empty((3, 5, 2, 2))
+    pair_means(plane, block, found)
+    np.testing.assert_array_equal(found, np.nan_to_num(np.stack(pairs, axis=2), posinf=0))
+
+
+def test_places_in_another_picture() -> None:
+    motion = RANDOM.normal(0, 4, (9, 13, 2))
+    motion[3, 4] = np.nan
+    x, y, cells = np.empty(117), np.empty(117), np.empty(117, np.int64)
+    count = places_inside(motion, x, y, cells)
+    down, across = np.mgrid[:9, :13] + np.moveaxis(motion, 2, 0)[::-1]
+    inside = is_inside(motion, across, down)
+    assert 0 < count < 117
+    np.testing.assert_array_equal(cells[:count], np.flatnonzero(inside))
+    before, mixed = RANDOM.normal(size=(9, 13, 6)), np.empty((count, 6))
+    mix_places(before, x[:count], y[:count], mixed)
+    np.testing.assert_array_equal(mixed, bilinear(before, across[inside], down[inside]))
+
+
+def test_noise_is_taken_from_a_correlation() -> None:
+    shown = RANDOM.normal(size=(40000, 1, 1))
+    noisy = [shown + RANDOM.normal(0, 0.8, (40000, 2, 1)) for _ in range(2)]
+    raw = np.corrcoef(*(halves.mean(axis=1)[:, 0] for halves in noisy))[0, 1]
+    assert raw < 0.8 and abs(true_correlation(*noisy, 0.1, 0.5) - 1) < 0.02
+    assert abs(true_correlation(noisy[0], RANDOM.normal(size=(40000, 1, 1)) + np.zeros((1, 2, 1)), 0.1, 0.5)) < 0.02
+    assert np.isnan(true_correlation(*noisy, 2.0, 0.5)) and np.isnan(true_correlation(*noisy, 0.1, 0.9))
 
 
 def test_moments() -> None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.errors import MemoryBudgetError
-from postfx.kernels.image import mark_positive
+from postfx.kernels.statistics import mark_positive
 from postfx.runtime import Tensor
 from postfx.system import PROCESS, Scratch
 

@@ -1,0 +1,237 @@
+"""What the host looks at in a frame's planes before it is uploaded, in one thread: whether all numbers are finite, the
+light of blocks of pixels, on which exposure is metered, and a coarse grid's cells, by which cuts are found.
+
+Loops over rows become vector instructions. Sums keep their order, so that a multiplier does not depend on them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postfx.kernels.numeric import Real, add, compiled, vectorised
+
+INFINITY_BITS = np.uint32(0x7F800000)
+"""The bits of an infinite float32; those of NaN, without the sign, are larger."""
+
+
+@compiled
+def largest_bits(flat: np.ndarray) -> Real:
+    """The largest of flat (count,) uint32, which are bits of float32 numbers, without their signs."""
+    largest = np.uint32(0)
+    for i in range(flat.size):
+        largest = max(largest, flat[i] & np.uint32(0x7FFFFFFF))
+    return largest
+
+
+@compiled
+def light_of_row(row: np.ndarray, light: np.ndarray) -> Real:
+    """Luminance (w,) of a flat row of Rec.709 (3 w,), 0 where it is negative or not finite; returns how often the
+    latter."""
+    unknown = 0
+    for x in range(light.size):
+        value = 0.2126 * row[3 * x] + 0.7152 * row[3 * x + 1] + 0.0722 * row[3 * x + 2]
+        known = abs(value) < np.inf  # false for NaN too
+        unknown += not known
+        light[x] = value if known and value > 0.0 else 0.0
+    return unknown
+
+
+@compiled
+def add_blocks(light: np.ndarray, block: int, total: np.ndarray, brightest: np.ndarray) -> None:
+    """Add a row of light (w,) to the sums of its blocks, and find the brightest pixel of each."""
+    for i in range(total.size):
+        so_far, most = total[i], brightest[i]
+        for x in range(i * block, min((i + 1) * block, light.size)):
+            so_far += light[x]
+            most = max(most, light[x])
+        total[i], brightest[i] = so_far, most
+
+
+@compiled
+def leave_out(row: np.ndarray, block: int, count: np.ndarray) -> None:
+    """Take the pixels of a flat row (3 w,) that are not finite from the counts of their blocks."""
+    for x in range(row.size // 3):
+        if not abs(0.2126 * row[3 * x] + 0.7152 * row[3 * x + 1] + 0.0722 * row[3 * x + 2]) < np.inf:
+            count[x // block] -= 1
+
+
+@compiled
+def block_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
+    """Mean luminance of each block x block pixels without the brightest; colour (h, w, 3) -> means (rows, columns).
+
+    Non-finite pixels are left out, negative ones count as 0. Averaging keeps the noise of one sample a pixel out of
+    the logarithm that follows, which would read it as darkness; without the brightest pixel a firefly is no light.
+    """
+    height, width, columns = colour.shape[0], colour.shape[1], means.shape[1]
+    light, total, brightest = np.empty(width), np.empty(columns), np.empty(columns)
+    count = np.empty(columns, np.int64)
+    for j in range(means.shape[0]):
+        first, end = j * block, min((j + 1) * block, height)
+        total[:], brightest[:] = 0.0, 0.0
+        for i in range(columns):
+            count[i] = (end - first) * (min((i + 1) * block, width) - i * block)
+        for y in range(first, end):
+            row = colour[y].reshape(3 * width)
+            if light_of_row(row, light):
+                leave_out(row, block, count)
+            add_blocks(light, block, total, brightest)
+        for i in range(columns):
+            means[j, i] = (total[i] - brightest[i]) / (count[i] - 1) if count[i] > 1 else total[i]
+
+
+@compiled
+def half_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
+    """Mean luminance of the two halves of each whole block; colour (h, w, 3) -> means (2, rows, columns).
+
+    The halves are the even and the odd rows, so they show the same with other noise. The brightest pixel of each is
+    left out, as by `block_means`; pixels that are not finite and negative ones count as 0.
+    """
+    width, columns = colour.shape[1], means.shape[2]
+    light, total, brightest = np.empty(width), np.empty((2, columns)), np.empty((2, columns))
+    for j in range(means.shape[1]):
+        total[:], brightest[:] = 0.0, 0.0
+        for row in range(block):
+            light_of_row(colour[j * block + row].reshape(3 * width), light)
+            add_blocks(light, block, total[row % 2], brightest[row % 2])
+        for half in range(2):
+            count = (block + 1 - half) // 2 * block
+            for i in range(columns):
+                means[half, j, i] = (total[half, i] - brightest[half, i]) / (count - 1)
+
+
+@compiled
+def pair_means(plane: np.ndarray, block: int, means: np.ndarray) -> None:
+    """Means of two pairs of pixels of each whole block; plane (h, w, C) -> means (rows, columns, 2, C).
+
+    Each pair lies on a diagonal, a quarter of the block from its corners. Means that are not finite become 0.
+    """
+    near = block // 4
+    far = block - 1 - near
+    for j in range(means.shape[0]):
+        for i in range(means.shape[1]):
+            for c in range(means.shape[3]):
+                for pair in range(2):
+                    left, right = (near, far) if pair == 0 else (far, near)
+                    first = np.float64(plane[j * block + near, i * block + left, c])
+                    mean = (first + np.float64(plane[j * block + far, i * block + right, c])) / 2
+                    means[j, i, pair, c] = mean if abs(mean) < np.inf else 0.0
+
+
+@compiled
+def box_row(flat: np.ndarray, y: int, width: int, channels: int, line: np.ndarray, means: np.ndarray) -> None:
+    """Mean over width x width cells around each cell of a row, edges repeated; flat rows (rows, columns * channels)."""
+    rows, near, share = flat.shape[0], width // 2, 1.0 / (width * width)
+    columns = means.size // channels
+    inner = line[near * channels:(near + columns) * channels]
+    inner[:] = 0.0
+    for v in range(y - near, y + near + 1):
+        add(flat[min(max(v, 0), rows - 1)], inner)
+    for i in range(near * channels):
+        line[i] = inner[i % channels]
+        line[(near + columns) * channels + i] = inner[(columns - 1) * channels + i % channels]
+    means[:] = 0.0
+    for u in range(width):
+        add(line[u * channels:], means)
+    for i in range(means.size):
+        means[i] *= share
+
+
+@compiled
+def band_of(planes: np.ndarray, narrow: int, wide: int, band: np.ndarray) -> None:
+    """Mean over narrow x narrow cells less that over wide x wide ones, both odd; planes (rows, columns, channels) to
+    the same."""
+    rows, columns, channels = planes.shape
+    flat, written = planes.reshape(rows, columns * channels), band.reshape(rows, columns * channels)
+    line, means = np.empty((columns + wide) * channels), np.empty(columns * channels)
+    for y in range(rows):
+        box_row(flat, y, narrow, channels, line, written[y])
+        box_row(flat, y, wide, channels, line, means)
+        for i in range(means.size):
+            written[y, i] -= means[i]
+
+
+@vectorised
+def products(a: np.ndarray, b: np.ndarray, mean_a: Real, mean_b: Real) -> tuple[Real, Real, Real]:
+    """Sums of squares and of products of two channels without their means."""
+    square_a = square_b = both = 0.0
+    for i in range(a.size):
+        x, y = a[i] - mean_a, b[i] - mean_b
+        square_a, square_b, both = square_a + x * x, square_b + y * y, both + x * y
+    return square_a, square_b, both
+
+
+@compiled
+def moments(a: np.ndarray, b: np.ndarray) -> tuple[Real, Real, Real]:
+    """Mean square of two sets of cells (cells, channels) without the means of their channels, and mean product."""
+    cells, channels = a.shape
+    square_a = square_b = both = 0.0
+    for c in range(channels):
+        of_a, of_b = np.ascontiguousarray(a[:, c]), np.ascontiguousarray(b[:, c])
+        found = products(of_a, of_b, of_a.sum() / cells, of_b.sum() / cells)
+        square_a, square_b, both = square_a + found[0], square_b + found[1], both + found[2]
+    count = cells * channels
+    return square_a / count, square_b / count, both / count
+
+
+@compiled
+def mark_positive(plane: np.ndarray, side: int, cells: np.ndarray) -> None:
+    """Set cells of side x side pixels in which a plane (h, w, 1) is positive anywhere."""
+    for y in range(plane.shape[0]):
+        for x in range(plane.shape[1]):
+            if plane[y, x, 0] > 0:
+                cells[y // side, x // side] = True
+
+
+@compiled
+def places_inside(motion: np.ndarray, x: np.ndarray, y: np.ndarray, cells: np.ndarray) -> int:
+    """Cells (rows, columns) whose motion (rows, columns, 2) leads to a place between the outermost cells' centres.
+
+    Returns how many; their places are put into x and y (rows * columns,), their numbers into `cells`.
+    """
+    rows, columns, count = motion.shape[0], motion.shape[1], 0
+    for j in range(rows):
+        for i in range(columns):
+            across, down = i + motion[j, i, 0], j + motion[j, i, 1]
+            if across >= 0 and across <= columns - 1 and down >= 0 and down <= rows - 1:
+                x[count], y[count], cells[count] = across, down, j * columns + i
+                count += 1
+    return count
+
+
+@compiled
+def mix_places(plane: np.ndarray, x: np.ndarray, y: np.ndarray, mixed: np.ndarray) -> None:
+    """Bilinear values (count, n) of a plane (rows, columns, n) at places inside."""
+    rows, columns = plane.shape[:2]
+    for p in range(x.size):
+        left, top = min(int(x[p]), max(columns - 2, 0)), min(int(y[p]), max(rows - 2, 0))
+        right, bottom = min(left + 1, columns - 1), min(top + 1, rows - 1)
+        u, v = x[p] - left, y[p] - top
+        for k in range(mixed.shape[1]):
+            upper = plane[top, left, k] * (1 - u) + plane[top, right, k] * u
+            lower = plane[bottom, left, k] * (1 - u) + plane[bottom, right, k] * u
+            mixed[p, k] = upper * (1 - v) + lower * v
+
+
+@compiled
+def correlate(a: np.ndarray, b: np.ndarray, least_spread: Real) -> Real:
+    """Pearson's correlation of (cells, channels), all channels together; NaN where one of the two hardly varies."""
+    square_a, square_b, both = moments(a, b)
+    spread_a, spread_b = np.sqrt(square_a), np.sqrt(square_b)
+    return both / (spread_a * spread_b) if min(spread_a, spread_b) > least_spread else np.nan
+
+
+@compiled
+def reliability(halves: np.ndarray) -> Real:
+    """Share of the variance of the mean of two halves (cells, 2, channels) that is not noise (Spearman-Brown)."""
+    between = correlate(halves[:, 0], halves[:, 1], 0.0)
+    return max(2 * between / (1 + between), 0.0) if between == between else 0.0
+
+
+@compiled
+def true_correlation(before: np.ndarray, now: np.ndarray, least_spread: Real, least_reliability: Real) -> Real:
+    """Correlation of (cells, 2 halves, channels) as it would be without noise; NaN where there is little else."""
+    raw = correlate((before[:, 0] + before[:, 1]) / 2, (now[:, 0] + now[:, 1]) / 2, least_spread)
+    first, second = reliability(before), reliability(now)
+    if not raw == raw or min(first, second) < least_reliability:
+        return np.nan
+    return raw / np.sqrt(first * second)
