@@ -171,7 +171,7 @@ class SaveFrames:
 
     def save(self, frames: Shot, output: str) -> dict[str, Any]:
         pattern = parse_pattern(_path("output", output))
-        if frames.count > 1 and not pattern.numbered:
+        if frames.count > 1 and not pattern.is_numbered:
             raise OptionError(f"output '{output}' has no place for the number of {frames.count} frames: write ####")
         files = [str(postfx.write_frame(pattern.path(frame.number), frame)) for frame in frames]
         return {"ui": {"text": files}, "result": (str(pattern),)}

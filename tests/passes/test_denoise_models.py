@@ -11,7 +11,7 @@ import pytest
 from postfx.errors import ModelError, PassOptionError, PostfxError
 from postfx.frame import FrameSpec, Role
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.models import GUIDED, exact, family, model_of, split_ending, validate_tag
+from postfx.passes.denoise.models import CLASSIC, GUIDED, exact, family, model_of, split_ending, validate_tag
 from postfx.pipeline import Pipeline
 from postfx.runs.run import provenance_of
 from postfx.runtime import Device, Library
@@ -97,7 +97,7 @@ def test_networks_of_a_library(nets: Path) -> None:
     for library in (nets, str(nets), Library(nets), Library(nets, models_dir())):
         np.testing.assert_array_equal(colour_of(model="s.fp32", library=library), colour_of(model="s.fp32"))
     np.testing.assert_array_equal(colour_of(model="s", library=nets), colour_of(model="s"))  # int8, as ours
-    assert family(validate_tag("m", Library(nets))) == (f"{nets}/s", f"{nets}/m")
+    assert family(validate_tag("m", Library(nets))) == (CLASSIC, f"{nets}/s", f"{nets}/m")
     with pytest.raises(PassOptionError, match="takes no networks on trust"):
         DenoiseUpscale(model="m", library=Library(nets, trust=True))
 

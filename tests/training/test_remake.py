@@ -117,7 +117,7 @@ def test_a_denoiser_is_made_anew(tmp_path: Path, here: object) -> None:
     clips = tmp_path / "clips"
     clips.mkdir()
     write_clips(clips, 3)
-    train = "training.denoise.train --clips {clips.1} --steps 1 --crop 32 --widths 16 16 16 --depth 1 --wait 2"
+    train = "training.denoise.train --clips {clips.1} --steps 20 --crop 32 --widths 16 16 16 --depth 1 --wait 2"
     steps = [f"{train} --out {{work}}/1", f"{train} --out {{work}}/2 --start {{work}}/1/checkpoint.pt",
              "training.denoise.checkpoint mix {work}/1/checkpoint.pt:0.5 {work}/2/checkpoint.pt:0.5 -o {work}/mixed.pt",
              "training.denoise.export {work}/mixed.pt --tag tiny --models {models} --network-only",
