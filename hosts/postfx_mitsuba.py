@@ -89,10 +89,11 @@ class Denoiser:
         unknown = [name for name in named.values() if name and name not in layers]
         if unknown:
             raise FrameError(f"the bitmap has no layer '{unknown[0]}': it has {', '.join(layers)}")
+        noisy_picture = np.array(layers[named.pop("noisy")], np.float32)
         arrays = {key: np.array(layers[name], np.float32) if name else None for key, name in named.items()}
-        if arrays["flow"] is not None:
-            arrays["flow"] = arrays["flow"][..., :2]  # layers of a bitmap may have three channels at least
-        return mi.Bitmap(self._denoise(arrays.pop("noisy"), arrays))
+        if (flow := arrays["flow"]) is not None:
+            arrays["flow"] = flow[..., :2]  # layers of a bitmap may have three channels at least
+        return mi.Bitmap(self._denoise(noisy_picture, arrays))
 
     def _denoise(self, noisy: np.ndarray, given: dict[str, np.ndarray | None]) -> np.ndarray:
         """The picture (height, width, 3 or 4) denoised; FrameError for planes that are missing or do not fit."""

@@ -210,7 +210,7 @@ NODE_CLASS_MAPPINGS = {
     "PostfxFramesToImages": FramesToImages,
 }
 for _node in NODE_CLASS_MAPPINGS.values():
-    _node.DESCRIPTION = _node.__doc__
+    setattr(_node, "DESCRIPTION", _node.__doc__)  # noqa: B010 the class does not declare it
 
 NODE_DISPLAY_NAME_MAPPINGS = {
     "PostfxLoadSequence": "Load EXR sequence (postfx)",

@@ -48,7 +48,7 @@ def test_two_frames_in_blender(tmp_path):
     assert found["wrong engine"].startswith("postfx reads passes of Cycles")
     assert found["set up"] == found["denoise"] == found["frame"] == "FINISHED"
     assert found["not rendered"].startswith("frame 1 is not rendered: there is no ")
-    assert found["no command"].startswith("there is no command '/nowhere/postfx': install postfx")
+    assert found["no command"].startswith("there is no command '/nowhere/postfx': install it")
     assert found["broken"].startswith("error") and "box_0002.exr" in found["broken"]
     assert found["image"] == ["box_denoised_0001.exr", "SEQUENCE"]
     names = [f"box_{mark}000{number}.exr" for mark in ("", "denoised_") for number in (1, 2)]
