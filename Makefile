@@ -35,7 +35,7 @@ page: $(VENV)/installed-docs
 	mkdir -p build/npm build/page/ort build/page/three/loaders build/page/three/libs
 	cp web/package.json build/npm && cd build/npm && npm install --silent --no-audit --no-fund --ignore-scripts
 	$(BIN)/python web/export.py build/page/models
-	cp web/*.html web/*.css web/*.js build/page
+	cp web/*.html web/*.css web/*.js docs/logo.svg build/page
 	cp samples/room/noisy.0006.exr build/page/sample.exr
 	cp $(ORT)/ort.wasm.min.mjs $(ORT)/ort.webgpu.min.mjs $(ORT)/ort-wasm-simd-threaded.mjs \
 	    $(ORT)/ort-wasm-simd-threaded.wasm $(ORT)/ort-wasm-simd-threaded.asyncify.* build/page/ort

@@ -1,8 +1,14 @@
-"""The man page of postfx, made from its parser when a wheel is built; `python hatch_build.py FILE` writes it alone."""
+"""What a build makes: the man page from the parser, and the README of the package index.
+
+`python hatch_build.py FILE` writes the man page alone. POSTFX_URL, a page like https://github.com/OWNER/postfx, becomes
+a link of the project, and the README's links lead there; without it pictures and links to files are left out.
+"""
 
 from __future__ import annotations
 
 import argparse
+import os
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -55,6 +61,23 @@ def _verbatim(text: str) -> Iterator[str]:
     yield from (".PP", ".nf", *map(_escape, text.strip("\n").splitlines()), ".fi")
 
 
+def readme_of_the_index(text: str, address: str = "", version: str = "") -> str:
+    """The README for the package index, which has no files beside it.
+
+    address: page of the repository, under which `raw/v<version>/` and `blob/v<version>/` hold its files; without it,
+    pictures are dropped and links to files become plain text.
+    """
+    def link(match: re.Match[str]) -> str:
+        is_picture, words, target = match.groups()
+        if re.match("[a-z]+:|#", target):
+            return match[0]
+        if not address:
+            return "" if is_picture else words
+        return f"{is_picture}[{words}]({address.rstrip('/')}/{'raw' if is_picture else 'blob'}/v{version}/{target})"
+
+    return re.sub(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)", link, text)
+
+
 def _escape(line: str) -> str:
     """A line of text: without control characters of roff, and with hyphens that can be copied."""
     line = line.replace("\\", "\\e").replace("-", "\\-")
@@ -69,6 +92,7 @@ def write(path: Path) -> None:
 
 try:
     from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+    from hatchling.metadata.plugin.interface import MetadataHookInterface
 except ImportError:  # it is called by hand
     pass
 else:
@@ -81,6 +105,18 @@ else:
             if self.target_name == "wheel":
                 write(PAGE)
                 build_data["shared_data"][str(PAGE)] = "share/man/man1/postfx.1"
+
+
+    class ReadmeHook(MetadataHookInterface):
+        """Sets the README of the package index and, with POSTFX_URL, the project's links."""
+
+        def update(self, metadata: dict[str, Any]) -> None:
+            """Add `readme` and `urls`."""
+            address, version = os.environ.get("POSTFX_URL", ""), metadata["version"]
+            text = readme_of_the_index((ROOT / "README.md").read_text("utf-8"), address, version)
+            metadata["readme"] = {"content-type": "text/markdown", "text": text}
+            changes = f"{address}/blob/v{version}/CHANGELOG.md"
+            metadata["urls"] = {"Source": address, "Changes": changes} if address else {}
 
 
 if __name__ == "__main__":

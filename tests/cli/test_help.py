@@ -87,6 +87,20 @@ def test_the_man_page_holds_every_verb_and_option(tmp_path):
         assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_the_readme_of_the_package_index_names_no_file_beside_it():
+    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    build = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(build)
+    text, address = (ROOT / "README.md").read_text("utf-8"), "https://example.org/owner/postfx"
+    plain, linked = build.readme_of_the_index(text), build.readme_of_the_index(text, address + "/", "1.2.3")
+    assert "](" not in plain and "[Start]" not in plain and "Start |" in plain
+    found = re.findall(r"(!?)\[[^\]]*\]\(([^)]+)\)", linked)
+    assert len(found) == len(re.findall(r"\]\(", text)) > 20
+    for mark, target in found:
+        folder = f"{address}/{'raw' if mark else 'blob'}/v1.2.3/"
+        assert target.startswith(folder) and (ROOT / target.removeprefix(folder).partition("#")[0]).exists()
+
+
 def test_every_verb_declares_its_options_for_help():
     """What is in no help is in no completion and no man page either."""
     parser = make_parser()
