@@ -7,7 +7,7 @@ import pytest
 
 from postfx import Between
 from postfx.frame import Frame, Role
-from postfx.interpolate import blend, choose, flow
+from postfx.interpolate import blend, choose, flow, paths
 from postfx.kernels.image import catmull_rom
 from postfx.kernels.numeric import compiled
 
@@ -100,3 +100,13 @@ def test_nothing_beside_a_picture_gets_into_it(size, most):
     for role, highest in ((Role.COLOUR, 1), (Role.ALPHA, 1), (Role.DEPTH, 9)):
         assert 0 <= found[role].min() and found[role].max() <= highest + 1e-5, role
     assert np.isfinite(found[Role.MOTION]).all()
+
+
+def test_the_nearest_surface_is_found_where_a_path_is_at_the_time():
+    """A path from (1, 2) to (3, 6) past a pixel, bent by (1, 2), is at its start + t (end - start) + t (t - 1) bend."""
+    ends, bend = np.zeros((12, 12, 4), np.float32), np.zeros((12, 12, 2), np.float32)
+    depth, nearest = np.full((12, 12, 1), 9, np.float32), np.full((12, 12), np.inf, np.float32)
+    ends[3, 4], bend[3, 4], depth[3, 4] = (1, 2, 3, 6), (1, 2), 1
+    paths.splat_nearest(ends, bend, depth, 0.75, nearest)
+    across, down = 1 + 0.75 * 2 - 0.1875 * 1, 2 + 0.75 * 4 - 0.1875 * 2
+    assert np.argwhere(nearest == 1).tolist() == [[int(3.5 + down), int(4.5 + across)]]
