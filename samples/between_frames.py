@@ -4,7 +4,8 @@ python samples/between_frames.py [FOLDER ...] [--most N] [--picture FILE.png]
 
 A folder holds noisy.####.exr, whose motion and depth are used, and reference.####.exr, the pictures; samples/room by
 default. From every two references with one between them that one is made, as if it had not been rendered: its motion
-plane only carries the next one's on to the frame before. Planes are enlarged to the pictures' size as postfx run keeps
+plane only carries the next one's on to the frame before, and tells where flicker is looked for: the new frame is seen
+between the two rendered ones, and both steps count. Planes are enlarged to the pictures' size as postfx run keeps
 them, each pixel that of the nearest one. Printed are means over all of them. Farneback and DIS need OpenCV:
 python -m pip install opencv-python-headless.
 """
@@ -20,9 +21,9 @@ import OpenImageIO as oiio
 
 import postfx
 from postfx import Frame, Role
-from postfx.bench.metrics import flip, grey_exposure, psnr, ssim
+from postfx.bench.metrics import Pictures, flicker, flip, grey_exposure, psnr, ssim
 from postfx.colour.views import to_codes
-from postfx.sampling import bilinear
+from postfx.sampling import bilinear, motion_at
 
 try:
     import cv2
@@ -35,13 +36,15 @@ ALIKE = 0.03  # relative difference in depth of one point in two frames
 
 
 class Gap(NamedTuple):
-    """Two frames, the one after them or None, and the picture that was rendered between the two."""
+    """Two frames, the one after them or None, the picture that was rendered between the two, and the motion from that
+    to the frame before and from the frame after to it."""
 
     before: Frame
     after: Frame
     later: Frame | None
     wanted: np.ndarray
     exposure: float
+    steps: tuple[np.ndarray, np.ndarray]
 
 
 def gaps(folder: Path) -> Iterator[Gap]:
@@ -55,7 +58,11 @@ def gaps(folder: Path) -> Iterator[Gap]:
         frames = [without_middle(noisy.get(n), noisy.get(n - 1), pictures[n], n == shown[0]) for n in shown]
         for k, (before, after) in enumerate(zip(frames, frames[1:], strict=False)):
             later = frames[k + 2] if k + 2 < len(frames) else None
-            yield Gap(before, after, later, pictures[shown[k] + 1][Role.COLOUR], exposure)
+            wanted = pictures[shown[k] + 1][Role.COLOUR]
+            h, w = wanted.shape[:2]
+            back, on = (motion_at(noisy[shown[k] + step][Role.MOTION], np.arange(h), np.arange(w), h, w)
+                        for step in (1, 2))
+            yield Gap(before, after, later, wanted, exposure, (back, on))
 
 
 def without_middle(noisy: Frame, middle: Frame | None, picture: Frame, first: bool) -> Frame:
@@ -106,6 +113,15 @@ def flow(gap: Gap, kind: str) -> np.ndarray:
     return (found[0] + found[1]) / 2
 
 
+def flicker_of(gap: Gap, shown: np.ndarray, wanted: np.ndarray) -> float:
+    """Mean flicker of the steps to the new picture and from it, where motion explains the rendered ones; else NaN."""
+    before, after = (Pictures(codes, codes) for codes in
+                     (to_codes(frame[Role.COLOUR], gap.exposure) for frame in (gap.before, gap.after)))
+    new = Pictures(shown, wanted)
+    found = flicker(before, new, gap.steps[0]), flicker(new, after, gap.steps[1])
+    return float(np.mean([np.nan if one is None else one for one in found]))
+
+
 def between(gap: Gap, **options: bool) -> np.ndarray:
     return postfx.Between(gap.before, gap.after, gap.later, **options).frame(0.5)[Role.COLOUR]
 
@@ -121,7 +137,7 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=99, help="frames to make of each folder")
     parser.add_argument("--picture", help="write: blend, postfx, rendered, of the second frame of the last folder")
     arguments = parser.parse_args()
-    print(f"{'sequence':<14}{'method':<18}{'PSNR':>7}{'SSIM':>8}{'FLIP':>8}{'light %':>9}{'CPU s':>7}")
+    print(f"{'sequence':<14}{'method':<18}{'PSNR':>7}{'SSIM':>8}{'FLIP':>8}{'flicker':>9}{'light %':>9}{'CPU s':>7}")
     for folder in arguments.folders:
         made = list(islice(gaps(folder), arguments.most))
         for name, method in METHODS.items():
@@ -132,10 +148,11 @@ def main() -> None:
                 seconds = time.process_time() - begin
                 shown, wanted = (to_codes(one, gap.exposure) for one in (colour, gap.wanted))
                 light = 100 * (colour.mean() / gap.wanted.mean() - 1)
-                rows.append((psnr(shown, wanted), ssim(shown, wanted), flip(shown, wanted), light, seconds))
-            means = np.mean(rows, 0)
+                rows.append((psnr(shown, wanted), ssim(shown, wanted), flip(shown, wanted),
+                             flicker_of(gap, shown, wanted), light, seconds))
+            means = np.nanmean(rows, 0)
             print(f"{folder.resolve().name:<14}{name:<18}{means[0]:>7.2f}{means[1]:>8.4f}{means[2]:>8.4f}"
-                  f"{means[3]:>9.2f}{np.median(rows, 0)[4]:>7.2f}")
+                  f"{means[3]:>9.2f}{means[4]:>9.2f}{np.median(rows, 0)[5]:>7.2f}")
     if arguments.picture:
         gap = made[min(1, len(made) - 1)]
         codes = [to_codes(one, gap.exposure) for one in (blend(gap), between(gap), gap.wanted)]

@@ -31,6 +31,9 @@ LITTLE = np.float32(1e-3)
 ALIKE, UNSURE, TINY = np.float32(0.05**2), np.float32(0.2), np.float32(1e-6)
 """Relative difference of both frames, squared, from which a path counts less beside others; what stands for it where
 only one frame shows a point; light below which nothing counts."""
+CRISP = np.float32(0.97)
+"""Share of detail that both frames show from which a cell keeps all of it, up to the middles of those beside: light
+does not leak over an edge."""
 COVERED = 0.98
 """Coverage from which an overlay hides the picture."""
 ELSE, DARK = np.float32(60), np.float32(0.05)
@@ -174,6 +177,8 @@ def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, pat
         found = path_between(cells, 8 * p, 8 * q, 8 * r, 8 * s, across, down)
         for c in range(7):
             paths[x, c] = found[c]
+        most = max(max(cells[8 * p + 6], cells[8 * q + 6]), max(cells[8 * r + 6], cells[8 * s + 6]))
+        paths[x, 6] = most if most > CRISP else found[6]
         paths[x, 7] = joined
 
 

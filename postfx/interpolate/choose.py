@@ -29,6 +29,9 @@ OTHER = np.float32(0.3)
 """Pixels by which paths must differ to be worth a comparison."""
 BETTER = np.float32(1.5)
 """How many times as well another path must fit to be taken; one of a cell beside, by the misfit of noise more."""
+STILL, BETTER_STILL = np.float32(0.01), np.float32(2)
+"""Pixels below which a path stands still, and how much better another one must fit than that: it is compared between
+pixels, where noise is averaged."""
 UNSEEN, UNSEEN_NOISE = np.float32(0.12), np.float32(2)
 """What stands for the misfit of a path that cannot be compared: a part that is fixed, and a multiple of the noise's."""
 TRUSTED = np.float32(0.5)
@@ -230,6 +233,12 @@ def path_by(flow: np.ndarray, y: int, x: int, back: Real, on: Real) -> Path:
 
 
 @inline
+def is_still(path: Path) -> bool:
+    """Whether a path stands still."""
+    return bool(max(max(abs(path[0]), abs(path[1])), max(abs(path[2]), abs(path[3]))) < STILL)
+
+
+@inline
 def differ(one: Path, other: Path) -> bool:
     """Whether two paths lead to other places."""
     return bool(abs(one[0] - other[0]) > OTHER or abs(one[1] - other[1]) > OTHER or abs(one[2] - other[2]) > OTHER
@@ -258,6 +267,7 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
         for x in range(w):
             mine, v, u = path_of(own, y, x), scale * y + middle, scale * x + middle
             taken, tried, is_seen, margin = mine, mine, False, ZERO
+            better = BETTER_STILL if is_still(mine) else BETTER
             best = np.float32(-2)  # not looked at yet: many cells have no other path around them
             for k in range(count):
                 if k < around:
@@ -290,7 +300,7 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
                 fits = 0 <= fit < TRUSTED * unseen
                 if not fits and (fit < 0 or path[4] + path[5] < 2):
                     fit = unseen
-                if BETTER * fit + margin < best:
+                if better * fit + margin < best:
                     best, taken, is_seen = fit, path, fits
             if is_seen:
                 taken = taken[0], taken[1], taken[2], taken[3], ONE, ONE
@@ -301,7 +311,8 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
 @compiled
 def measure_detail(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known: np.ndarray, scale: int,
                    noise: Real, cells: np.ndarray) -> None:
-    """How sharp the pictures are at cells, each measured once for two by two that follow one path. y0 is even."""
+    """How sharp the pictures are at cells, measured once for two by two that follow one path, around their middle. y0
+    is even."""
     rows, columns = cells.shape[:2]
     middle = np.float32(0.5 * (scale - 1))
     for y in range(y0, y1):
@@ -312,7 +323,8 @@ def measure_detail(y0: int, y1: int, before: np.ndarray, after: np.ndarray, know
                 if not differ(path, one) and path[4] + path[5] == one[4] + one[5]:
                     cells[y, x, 6] = cells[j, i, 6]
                     continue
-            cells[y, x, 6] = sharpness(before, after, known, scale * y + middle, scale * x + middle, path, noise)
+            at = np.float32(scale - 0.5) if (j, i) == (y, x) else middle
+            cells[y, x, 6] = sharpness(before, after, known, scale * y + at, scale * x + at, path, noise)
 
 
 @compiled

@@ -110,3 +110,15 @@ def test_the_nearest_surface_is_found_where_a_path_is_at_the_time():
     paths.splat_nearest(ends, bend, depth, 0.75, nearest)
     across, down = 1 + 0.75 * 2 - 0.1875 * 1, 2 + 0.75 * 4 - 0.1875 * 2
     assert np.argwhere(nearest == 1).tolist() == [[int(3.5 + down), int(4.5 + across)]]
+
+
+@pytest.mark.parametrize(("beside", "between"), [(1.0, 1.0), (0.9, 0.6)])
+def test_a_cell_that_keeps_all_detail_keeps_it_up_to_the_middle_of_those_beside(beside, between):
+    """So that light does not leak over an edge; other cells share."""
+    cells = np.zeros((4, 4, 8), np.float32)
+    cells[..., 4:6], cells[..., 7] = 1, 1
+    cells[:, :2, 6], cells[:, 2:, 6] = 0.5, beside
+    paths = np.empty((8, 8), np.float32)
+    blend.find_row(cells.ravel(), 4, 4, np.float32(0.5), 4, paths)
+    np.testing.assert_allclose(paths[:, 6], [0.5, 0.5, 0.5, between, (between if beside == 1 else 0.8), beside, beside,
+                                             beside], rtol=1e-6)
