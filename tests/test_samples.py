@@ -48,6 +48,19 @@ def test_planes_stand_on_one_picture(tmp_path):
     assert (spec.width, spec.height) == (4 * 320 + 3 * 4, 2 * 180 + 4)
 
 
+def test_looks_differ_and_dither_keeps_the_ramp(tmp_path):
+    run("display.py", str(tmp_path))
+    paths = (tmp_path / "views.jpg", tmp_path / "dither.png")
+    views, ramps = (np.asarray(oiio.ImageBuf(str(path)).get_pixels()) for path in paths)
+    looks = [views[y:y + 180, x:x + 320] for y in (0, 180) for x in (0, 320, 640)]
+    assert min(np.abs(one - two).mean() for k, one in enumerate(looks) for two in looks[:k]) > 0.01
+    rounded, dithered = ramps[:110, :, 0], ramps[-110:, :, 0]
+    assert len(np.unique(rounded)) == len(np.unique(dithered)) == 9
+    ramp = 128 / 255 + 25 * (np.linspace(0, 8, 900) - 4) / 255
+    kept = [np.abs(np.convolve(codes.mean(0) - ramp, np.ones(32) / 32, "valid")).max() for codes in (rounded, dithered)]
+    assert kept[1] < 0.003 and kept[0] > 0.02
+
+
 def test_both_directions_are_better_than_one(tmp_path):
     rows = [line.split() for line in run("both_ways.py", str(tmp_path / "a.png"), "--model", "s").splitlines()[1:9]]
     assert [int(row[0]) for row in rows] == list(range(1, 9))
