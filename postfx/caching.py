@@ -44,6 +44,14 @@ class LRUCache(Generic[Key, Value]):
             self._values[key] = make()
         return self[key]
 
+    def peek(self, key: Key) -> Value:
+        """The key's value, which does not count as used; KeyError if there is none."""
+        return self._values[key]
+
+    def drop(self, key: Key) -> None:
+        """Forget a key; KeyError if there is none."""
+        del self._values[key]
+
     def clear(self) -> None:
         """Drop all values."""
         self._values.clear()

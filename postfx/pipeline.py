@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -22,6 +22,8 @@ from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skip, Step, make_plan
 from postfx.repair import is_unusable, repair_nonfinite
 from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor, default_device
+from postfx.runtime.encoders import Recordings
+from postfx.runtime.memory import address
 
 MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
 """Planes and guides of all sizes that are kept ready."""
@@ -371,21 +373,25 @@ class Flow:
         self._device = device
         # of planes, where the host does not see the device's memory
         self._copies: LRUCache[tuple[str, tuple[int, ...]], Tensor] = LRUCache(MOST_COPIES)
+        self._inputs: dict[str, Tensor] = {}  # the last frame's
+        self._recordings = Recordings()
         self.timings: dict[str, float] = {}
 
     def forget(self) -> None:
         """Release the memory that was kept ready for the frames so far."""
         self._copies.clear()
+        self._inputs.clear()
+        self._recordings.clear()
 
     def run(self, frame: Frame, plan: Plan, exposure: float, unusable: bool, given: Frame) -> Frame:
         """The frame that comes out. Planes that no pass touches, and all that is not a plane, come from `given`."""
-        with self._upload(frame, plan, exposure, unusable) as resident:
-            inputs = dict(resident.tensors)
-            with self._device.results_lock:  # the next commit may take the memory of the results
-                self._run(plan.steps, resident)
-                for step in plan.steps:
-                    step.instance.note_time(self.timings[step.name])
-                return _finish(given, plan, resident, inputs)
+        resident = self._upload(frame, plan, exposure, unusable)
+        inputs = dict(resident.tensors)
+        with self._device.results_lock:  # the next commit may take the memory of the results
+            self._run(plan.steps, resident)
+            for step in plan.steps:
+                step.instance.note_time(self.timings[step.name])
+            return _finish(given, plan, resident, inputs)
 
     def run_away(self, resident: ResidentFrame, plan: Plan) -> dict[Role, Tensor]:
         """The planes that come out of a frame in the device's memory, each on memory of its own."""
@@ -405,32 +411,32 @@ class Flow:
 
     def run_ahead(self, frame: Frame, plan: Plan, steps: Sequence[Step], exposure: float, unusable: bool) -> None:
         """Take a frame through the first steps of a plan, for nothing but their history."""
-        with self._upload(frame, plan, exposure, unusable) as resident:
-            resident.history_only = True
-            with self._device.results_lock:
-                self._run(steps, resident)
+        resident = self._upload(frame, plan, exposure, unusable)
+        resident.history_only = True
+        with self._device.results_lock:
+            self._run(steps, resident)
 
-    @contextmanager
-    def _upload(self, frame: Frame, plan: Plan, exposure: float, unusable: bool) -> Iterator[ResidentFrame]:
+    def _upload(self, frame: Frame, plan: Plan, exposure: float, unusable: bool) -> ResidentFrame:
         inputs = {role: self._input(role, frame[role]) for role in plan.planes}
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
         parts = {name: self._input(f"part {name}", frame.parts[name]) for name in plan.parts}
-        try:
-            yield ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure, unusable)
-        finally:
-            for tensor in (*inputs.values(), *guides.values(), *parts.values()):
-                tensor.release()
+        return ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure, unusable)
 
     def _input(self, name: str, array: np.ndarray) -> Tensor:
-        """A plane as a tensor of this frame. Where it is copied to the device, it always comes to the same memory."""
-        if self._device.memory.host_visible:
-            return self._device.wrap(name, array)
+        """A plane as a tensor: the last frame's, if that was on the same memory, so that its commands are known again.
+        Where it is copied to the device, it always comes to the same memory."""
+        last, copied = self._inputs.get(name), not self._device.memory.host_visible
+        if last and not copied and (last.start, last.shape) == (address(array), array.shape) and not last.released:
+            return last  # it keeps its memory alive, so that nothing else can lie there
+        if last:
+            last.release()
         place = name, array.shape
-        copy = self._copies.get_or_make(place, partial(self._device.heap.tensor, *place))
-        return self._device.wrap(name, array, copy)
+        copy = self._copies.get_or_make(place, partial(self._device.heap.tensor, *place)) if copied else None
+        self._inputs[name] = self._device.wrap(name, array, copy)
+        return self._inputs[name]
 
     def _run(self, steps: Sequence[Step], resident: ResidentFrame) -> None:
-        commands = self._device.command_buffer(f"frame {resident.number}", captured=not resident.history_only)
+        commands = self._device.command_buffer(f"frame {resident.number}", not resident.history_only, self._recordings)
         try:
             for step in steps:
                 _encode(step, commands, resident)

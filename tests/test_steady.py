@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+import weakref
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 import postfx
 from postfx.frame import ROLES, Frame, Role
 from postfx.runtime import Device
+from postfx.runtime.hazards import Footprint
 
 PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
 WARM = 10
@@ -62,3 +64,25 @@ def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int, t
     assert after < 1.25 * before
     print(f"{count} frames, {threads} threads: {process[0] / 1e6:.1f} MB at frame {WARM + 1}, "
           f"{max(process) / 1e6:.1f} MB at most; processor time a frame {1e3 * before:.1f} and {1e3 * after:.1f} ms")
+
+
+def test_planes_in_the_same_memory_are_known_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands are searched for hazards once for each of two histories, and results are those of planes that lie
+    elsewhere in each frame, which nothing keeps in memory."""
+    made: list[int] = []
+    same, other = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()], Device("cpu", threads=1))
+                   for _ in range(2))
+    lasting, gone = frame(0), []
+    for number in range(8):
+        new = frame(number)
+        for role, plane in lasting.planes.items():
+            plane[...] = new[role]
+        before = len(made)
+        with monkeypatch.context() as patch:
+            patch.setattr("postfx.runtime.commands.Footprint", lambda records: made.append(1) or Footprint(records))
+            found = same(lasting)
+        assert len(made) == before + (number < 3)
+        np.testing.assert_array_equal(found[Role.COLOUR], other(new)[Role.COLOUR])
+        gone.append(weakref.ref(new[Role.COLOUR]))
+        del new
+        assert [held() is None for held in gone] == number * [True] + [False]

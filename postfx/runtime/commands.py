@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future
 from concurrent.futures import wait as wait_for_futures
@@ -12,16 +11,24 @@ from itertools import groupby
 from operator import attrgetter
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from postfx.errors import CommandError, CommandTimeout, EncodingError
+from postfx.errors import CommandError, EncodingError
 from postfx.frame import LOG
 from postfx.runtime.capture import CapturableDevice, Recorder
-from postfx.runtime.encoders import ComputeEncoder, Dispatch, Encoder, MachineLearningEncoder, Record
-from postfx.runtime.hazards import Footprint, Hazards, RecordedCommands, predecessors
+from postfx.runtime.encoders import (
+    ComputeEncoder,
+    Dispatch,
+    Encoder,
+    MachineLearningEncoder,
+    Record,
+    Recorded,
+    Recordings,
+)
+from postfx.runtime.hazards import Footprint, Hazards, predecessors
 from postfx.runtime.heap import Placement
 from postfx.runtime.memory import Memory
 from postfx.runtime.session import first_line
 from postfx.runtime.tensor import Allocation, Tensor
-from postfx.runtime.threads import CommandQueue, Slots
+from postfx.runtime.threads import CommandQueue, Slots, timeout_error
 
 E = TypeVar("E", bound="Encoder")
 
@@ -64,13 +71,13 @@ class CommandBuffer:
     Attributes:
         label: name in messages, for example 'frame 12'.
         captured: whether an active capture records it.
+        known: recordings that it may be one of, and is among after its first commit.
         records: dispatches and barriers in order.
     """
 
-    def __init__(self, device: CommandDevice, label: str, captured: bool = True) -> None:
-        self.device = device
-        self.label = label
-        self.captured = captured
+    def __init__(self, device: CommandDevice, label: str, captured: bool = True,
+                 known: Recordings | None = None) -> None:
+        self.device, self.label, self.captured, self.known = device, label, captured, known
         self.records: list[Record] = []
         self._kept: set[Allocation] = set()
         self._placement: Placement | None = None
@@ -152,8 +159,11 @@ class CommandBuffer:
         self._error, self._timings = None, {}
         self._done.clear()
         with self.device.commit_lock:
+            key = self._recognise()
             self._place()
             stands_apart = self.device.hazards.commit(self)
+            if self.known and key:
+                self.known.keep(key, Recorded(self.records, self._placement, self.footprint()))
             self._state = "committed"
             capture = self.device.active_capture if self.captured else None
             self._recorder = None if capture is None else capture.record(self)
@@ -235,6 +245,18 @@ class CommandBuffer:
         self._state = state
         self.device.hazards.close(self)
 
+    def _recognise(self) -> tuple[object, ...] | None:
+        """Take the placement and the accesses of the same commands, if they are known; else the key to keep them by.
+        Nothing may be in flight, as barriers of equal encoders cannot be told apart."""
+        if self.known is None or self._placement or self._footprint or self.device.hazards.in_flight():
+            return None
+        key = self.known.key(self.records, self._kept)
+        again = self.known.find(key)
+        if again is None:
+            return key
+        self.records, self._placement, self._footprint = again
+        return None
+
     def _place(self) -> None:
         placement = self.device.heap.arena.place(self.records, self._kept, self._placement, self.label)
         if placement is not None and placement is not self._placement:
@@ -283,12 +305,8 @@ class Execution:
         self.running: Dispatch | None = None
         self.error: CommandError | None = None
         self.timings: dict[int, tuple[str, float]] = {}
-        self._device = device
-        self._memory = device.memory
-        self._hazards = device.hazards
-        self._label = label
-        self._footprint = footprint
-        self._dispatches = footprint.dispatches
+        self._device, self._memory, self._hazards = device, device.memory, device.hazards
+        self._label, self._footprint, self._dispatches = label, footprint, footprint.dispatches
         self._recorder = recorder
 
     def run(self) -> None:
@@ -455,46 +473,3 @@ def _timings(memory: Memory, spans: Sequence[Span]) -> dict[int, tuple[str, floa
         before = timings.get(span.encoder, (span.label, 0.0))[1]
         timings[span.encoder] = span.label, before + memory.milliseconds(span.begin, span.end)
     return timings
-
-
-NAMED = 4
-"""How many waiting command buffers a message names at most."""
-
-
-def wait_for_all(name: str, flying: Sequence[RecordedCommands], timeout: float | None) -> None:
-    """Wait for all buffers, in order; then raise the first error, if any failed.
-
-    Args:
-        name: what the message calls the device.
-        timeout: seconds for all together; None waits without limit.
-    """
-    deadline = None if timeout is None else time.monotonic() + timeout
-    first: CommandError | None = None
-    for commands in flying:
-        left = None if deadline is None else max(0.0, deadline - time.monotonic())
-        if not commands.is_done(left):
-            raise timeout_error(f"{name} was not idle after {timeout:g} s", flying)
-        try:
-            commands.wait()
-        except CommandError as error:
-            first = first or error
-    if first is not None:
-        raise first
-
-
-def timeout_error(what: str, flying: Sequence[RecordedCommands]) -> CommandTimeout:
-    """An error that names the command that runs now and the buffers that wait behind it."""
-    buffers = [commands for commands in flying if not commands.is_done()]
-    if not buffers:
-        return CommandTimeout(f"{what}, but it is done now", None, ())
-    dispatch, labels = buffers[0].running, tuple(commands.label for commands in buffers[1:])
-    running = f"{dispatch} of '{buffers[0].label}' is running" if dispatch else f"'{buffers[0].label}' is about to run"
-    return CommandTimeout(f"{what}: {running}{_text_behind(labels)}", dispatch.label if dispatch else None, labels)
-
-
-def _text_behind(labels: tuple[str, ...]) -> str:
-    if not labels:
-        return ""
-    named = ", ".join(f"'{label}'" for label in labels[:NAMED])
-    more = f" and {len(labels) - NAMED} more" if len(labels) > NAMED else ""
-    return f"; behind it wait {named}{more}"

@@ -18,8 +18,9 @@ import numpy as np
 
 from postfx.errors import BindingError, DeviceError, ModelError, PostfxError
 from postfx.runtime.capture import Capture
-from postfx.runtime.commands import CommandBuffer, wait_for_all
+from postfx.runtime.commands import CommandBuffer
 from postfx.runtime.cuda import CudaMemory, find_source
+from postfx.runtime.encoders import Recordings
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
 from postfx.runtime.memory import CUDA, HOST, HOST_KINDS, HostMemory, Immediate, Memory, address, borrow, byte_span
@@ -28,7 +29,7 @@ from postfx.runtime.models import Library
 from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, ort, parse_provider
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, size_in_bytes
-from postfx.runtime.threads import CommandQueue, Helpers, Slots
+from postfx.runtime.threads import CommandQueue, Helpers, Slots, wait_for_all
 from postfx.system import Scratch, usable_cores
 from postfx.version import pip_install
 
@@ -238,9 +239,10 @@ class Device:
         """Whether kernels run as compiled rows, so that those without another form run, too."""
         return self._compiled and self.memory.host_visible
 
-    def command_buffer(self, label: str, captured: bool = True) -> CommandBuffer:
-        """A new, empty command buffer. An active capture records it if `captured`."""
-        return CommandBuffer(self, label, captured)
+    def command_buffer(self, label: str, captured: bool = True, known: Recordings | None = None) -> CommandBuffer:
+        """A new, empty command buffer. An active capture records it if `captured`; what it records is looked up among
+        `known` recordings."""
+        return CommandBuffer(self, label, captured, known)
 
     def capture(
         self, tensors: str = "thumbnails", folder: str | Path | None = None, network: bool = False

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self
 
+from postfx.caching import LRUCache
 from postfx.errors import BindingError, EncodingError, HazardError
 from postfx.runtime.states import Arguments, ArgumentTable, State
-from postfx.runtime.tensor import Tensor, TensorDevice
+from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 
 STAGES = ("compute", "machine-learning")
 """Stages of the queue: compute kernels and networks."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class Dispatch:
     """One recorded kernel or network run.
 
@@ -28,7 +29,7 @@ class Dispatch:
         execute: does the work; None until a commit gives transient tensors their memory.
         model: file of the network; None for a kernel.
         state: the kernel or network that runs.
-        arguments: the tensors as bound, if some are transient.
+        arguments: the tensors as bound.
     """
 
     label: str
@@ -86,6 +87,60 @@ Record = Dispatch | Barrier
 
 Stages = str | Iterable[str]
 """What a barrier orders: one stage or several of them."""
+
+MOST_RECORDINGS = 4
+"""Recordings that are known again: histories swap from frame to frame, and some frames are unlike others."""
+
+
+class Recorded(NamedTuple):
+    """Commands that were committed before, the heap's `Placement` of their transient tensors or None, and the
+    `Footprint` of what they access; both types belong to modules above this one."""
+
+    records: list[Record]
+    placement: Any
+    footprint: Any
+
+
+class Recordings:
+    """Knows commands again that were recorded before, on the same tensors, so that they need not be placed and searched
+    for hazards anew. It keeps what they use alive."""
+
+    def __init__(self) -> None:
+        self._known: LRUCache[tuple[object, ...], Recorded] = LRUCache(MOST_RECORDINGS)
+
+    def key(self, records: Sequence[Record], kept: Iterable[Allocation]) -> tuple[object, ...]:
+        """What two recordings that are alike have in common."""
+        first = records[0].encoder if records else 0
+        parts: list[object] = [frozenset(item for item in kept if isinstance(item, Transient))]
+        for record in records:
+            parts.append(record.encoder - first)
+            if isinstance(record, Dispatch):
+                parts += (record.label, record.arguments)
+            elif isinstance(record, EncoderBarrier):
+                parts.append(EncoderBarrier)
+            else:
+                parts += (type(record), record.after, record.before)
+        return tuple(parts)
+
+    def find(self, key: tuple[object, ...]) -> Recorded | None:
+        """The commands with this key."""
+        return self._known[key] if key in self._known else None
+
+    def keep(self, key: tuple[object, ...], recorded: Recorded) -> None:
+        """Know these commands from now on. Forgets those in other transient memory, with released tensors, and with
+        wrapped arrays that these do not use."""
+        memory, users = recorded.placement and recorded.placement.memory, recorded.footprint.users
+        for other in list(self._known):
+            old = self._known.peek(other)
+            if (old.placement and old.placement.memory) is not memory or any(
+                    item.released or (item.borrowed and item not in users) for item in old.footprint.users):
+                self._known.drop(other)
+        self._known[key] = recorded
+
+    def clear(self) -> None:
+        """Forget all commands."""
+        self._known.clear()
+
 
 _STAGES_TEXT = " and ".join(f"'{stage}'" for stage in STAGES)
 
@@ -171,8 +226,7 @@ class Encoder:
             raise BindingError(f"'{self.label}': {error}") from None
         accesses = arguments.reads, arguments.writes
         names = self.label, state.command, self.stage, self._number
-        kept = None if arguments.execute else arguments  # the commit places the transient ones
-        dispatch = Dispatch(*names, *accesses, arguments.execute, state.model, state, kept)
+        dispatch = Dispatch(*names, *accesses, arguments.execute, state.model, state, arguments)
         if arguments.aliases:
             raise _aliasing_error(dispatch, *arguments.aliases)
         self._record(dispatch)

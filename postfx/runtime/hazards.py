@@ -15,22 +15,15 @@ from postfx.errors import CommandError, HazardError
 from postfx.runtime.encoders import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.memory import Ranges
 from postfx.runtime.tensor import Allocation, Tensor, TensorState, Transient, Use
+from postfx.runtime.threads import Committed
 
 
-class RecordedCommands(Protocol):
+class RecordedCommands(Committed, Protocol):
     """What hazard checks need of a command buffer."""
 
-    label: str
     records: list[Record]
 
-    @property
-    def running(self) -> Dispatch | None: ...
-
     def footprint(self) -> Footprint: ...
-
-    def is_done(self, timeout: float | None = 0.0) -> bool: ...
-
-    def wait(self, timeout: float | None = None) -> None: ...
 
 
 class Hazards:
@@ -155,14 +148,11 @@ class Hazards:
             if allocation.released:
                 raise _released_error(tensor, dispatch)
         for need in footprint.needs.values():
-            self._check_need(need, footprint)
-
-    def _check_need(self, need: Need, footprint: Footprint) -> None:
-        allocation = need.tensor.allocation
-        if not allocation.written.includes(need.missing):
-            raise _undefined_error(need, footprint.dispatches)
-        if allocation.lost and (failed := self._failure(allocation, need.missing)):
-            raise _lost_error(need, failed)
+            allocation = need.tensor.allocation
+            if not allocation.written.includes(need.missing):
+                raise _undefined_error(need, footprint.dispatches)
+            if allocation.lost and (failed := self._failure(allocation, need.missing)):
+                raise _lost_error(need, failed)
 
     def _check_order(self, commands: RecordedCommands, footprint: Footprint) -> None:
         if footprint.ordered and not self._flying:
@@ -179,7 +169,11 @@ def _dispatches(buffers: Iterable[RecordedCommands]) -> Iterator[tuple[RecordedC
 
 
 def _uses(tensors: Iterable[Tensor], tensor: Tensor) -> bool:
-    return any(other.overlaps(tensor) for other in tensors)
+    start, end = tensor.start, tensor.end
+    for other in tensors:  # a loop, as each upload asks this of all that is recorded
+        if other.start < end and start < other.end and tensor.nbytes and other.nbytes:
+            return True
+    return False
 
 
 def _use(commands: RecordedCommands, dispatch: Dispatch) -> Use:

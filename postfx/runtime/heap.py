@@ -224,7 +224,7 @@ class Arena:
             before: the placement of the same records at their last commit, reused if possible.
             label: what messages call the buffer.
         """
-        if not any(isinstance(record, Dispatch) and record.arguments for record in records):
+        if not any(isinstance(item, Dispatch) and item.arguments and item.arguments.transients for item in records):
             return None
         if before is None or before.memory is not self._get_memory():
             before = self._new(records, kept)
@@ -313,7 +313,7 @@ def _order_key(record: Record) -> tuple[object, ...]:
 
 
 def _with_memory(record: Record) -> Record:
-    if not isinstance(record, Dispatch) or record.arguments is None:
+    if not isinstance(record, Dispatch) or not record.arguments or not record.arguments.transients:
         return record
     placed = record.arguments.with_memory()
     names = (record.label, record.command, record.stage, record.encoder)

@@ -254,11 +254,14 @@ class Ranges:
 
     def covers(self, start: int, end: int) -> bool:
         """Whether every byte of [start, end) is included."""
-        return any(s <= start and end <= e for s, e in self.spans)
+        for first, last in self.spans:  # a loop, as this is asked a hundred times a frame
+            if first <= start and end <= last:
+                return True
+        return False
 
     def includes(self, other: Ranges) -> bool:
         """Whether every byte of another set is included."""
-        return all(self.covers(*span) for span in other.spans)
+        return self.spans == other.spans or all([self.covers(*span) for span in other.spans])
 
     def touches(self, other: Ranges) -> bool:
         """Whether any byte of another set is included."""

@@ -302,6 +302,10 @@ class Arguments:
                     return other, written
         return None
 
+    def forget_memory(self) -> None:
+        """Let the memory go that transient tensors had."""
+        self._placed = None
+
     def with_memory(self) -> Arguments:
         """The same arguments on the memory that transient tensors have now; cached until that changes."""
         places = tuple([transient.place for transient in self.transients])
@@ -344,6 +348,7 @@ class ArgumentTable:
         self._bindings: dict[str, Binding] = {binding.name: binding for binding in state.bindings}
         self._tensors: dict[str, Tensor] = {}
         self._arguments: Arguments | None = None
+        self._known: dict[tuple[Tensor, ...], Arguments] = {}
         for name, tensor in (tensors or {}).items():
             self[name] = tensor
 
@@ -370,9 +375,21 @@ class ArgumentTable:
             unbound = [name for name in self._bindings if name not in self._tensors]
             if unbound:
                 raise BindingError(f"{self.state.command}: nothing is bound to {_quote(unbound)}: {_BIND}")
-            self._check_together()
-            self._arguments = Arguments(self.state, tuple(self._tensors[name] for name in self._bindings))
+            tensors = tuple([self._tensors[name] for name in self._bindings])
+            self._arguments = self._known.get(tensors) or self._make_arguments(tensors)
         return self._arguments
+
+    def _make_arguments(self, tensors: tuple[Tensor, ...]) -> Arguments:
+        """Arguments that are known again, beside the last ones before, as histories swap from frame to frame; unless
+        these keep memory of others alive."""
+        self._check_together()
+        before = [*self._known.items()][-1:]
+        for _, last in before:
+            last.forget_memory()
+        self._known = {key: last for key, last in before if not any(
+            tensor.released or (tensor.allocation.borrowed and tensor not in tensors) for tensor in key)}
+        made = self._known[tensors] = Arguments(self.state, tensors)
+        return made
 
     def _binding(self, name: str) -> Binding:
         if name not in self._bindings:

@@ -188,6 +188,11 @@ class Allocation:
         self.lost: list[tuple[Ranges, CommandError]] = []
         self._finalizer: weakref.finalize[..., Allocation] | None = None
 
+    @property
+    def borrowed(self) -> bool:
+        """Whether the memory is another owner's, such as a wrapped array."""
+        return self._finalizer is None and not self.transient
+
     def on_release(self, action: Callable[..., None], *args: Any) -> None:
         """Call `action(*args)` once: on release, or when nothing refers to the allocation any more."""
         self._finalizer = weakref.finalize(self, action, *args)

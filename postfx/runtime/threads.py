@@ -16,13 +16,14 @@ import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from postfx.errors import CommandError, CommandTimeout
 from postfx.kernels.numeric import compiled
 
 LOOK = 100e-6
@@ -262,3 +263,64 @@ def _time_pauses(count: int) -> float:
     begin = time.perf_counter()
     pauses(count)
     return time.perf_counter() - begin
+
+class Labelled(Protocol):
+    """What messages name."""
+
+    label: str
+
+
+class Committed(Protocol):
+    """Commands that can be waited for."""
+
+    label: str
+
+    @property
+    def running(self) -> Labelled | None: ...
+
+    def is_done(self, timeout: float | None = 0.0) -> bool: ...
+
+    def wait(self, timeout: float | None = None) -> None: ...
+
+
+NAMED = 4
+"""How many waiting command buffers a message names at most."""
+
+
+def wait_for_all(name: str, flying: Sequence[Committed], timeout: float | None) -> None:
+    """Wait for all buffers, in order; then raise the first error, if any failed.
+
+    Args:
+        name: what the message calls the device.
+        timeout: seconds for all together; None waits without limit.
+    """
+    deadline = None if timeout is None else time.monotonic() + timeout
+    first: CommandError | None = None
+    for commands in flying:
+        left = None if deadline is None else max(0.0, deadline - time.monotonic())
+        if not commands.is_done(left):
+            raise timeout_error(f"{name} was not idle after {timeout:g} s", flying)
+        try:
+            commands.wait()
+        except CommandError as error:
+            first = first or error
+    if first is not None:
+        raise first
+
+
+def timeout_error(what: str, flying: Sequence[Committed]) -> CommandTimeout:
+    """An error that names the command that runs now and the buffers that wait behind it."""
+    buffers = [commands for commands in flying if not commands.is_done()]
+    if not buffers:
+        return CommandTimeout(f"{what}, but it is done now", None, ())
+    dispatch, labels = buffers[0].running, tuple(commands.label for commands in buffers[1:])
+    running = f"{dispatch} of '{buffers[0].label}' is running" if dispatch else f"'{buffers[0].label}' is about to run"
+    return CommandTimeout(f"{what}: {running}{_text_behind(labels)}", dispatch.label if dispatch else None, labels)
+
+
+def _text_behind(labels: tuple[str, ...]) -> str:
+    if not labels:
+        return ""
+    named = ", ".join(f"'{label}'" for label in labels[:NAMED])
+    more = f" and {len(labels) - NAMED} more" if len(labels) > NAMED else ""
+    return f"; behind it wait {named}{more}"

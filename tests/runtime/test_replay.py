@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.runtime import ArgumentTable, CommandError, EncodingError, HazardError, hazards
+from postfx.runtime.encoders import Recordings
 
 TO_KERNEL = {"after": "machine-learning", "before": "compute"}
 WAIT = r"it was committed, call wait\(\) first"
@@ -240,3 +241,57 @@ def test_a_later_wait_does_not_stand_in_for_ones_own(frame):
         frame.commands.begin()
     frame.commands.wait(0)
     frame.commands.begin()
+
+
+def record(frame, known, barrier=True):
+    """The frame's commands in a new buffer, which looks them up."""
+    commands = frame.bench.device.command_buffer("again", known=known)
+    with commands.machine_learning_encoder("double") as encoder:
+        if barrier:
+            encoder.barrier(after=("compute", "machine-learning"), before="machine-learning")
+        encoder.dispatch_network(*frame.tables[0])
+    with commands.compute_encoder("add") as encoder:
+        encoder.barrier(**TO_KERNEL)
+        encoder.dispatch(*frame.tables[1])
+    return commands
+
+
+def run(commands):
+    commands.commit()
+    commands.wait(10)
+
+
+def test_commands_that_were_recorded_before_are_searched_once(bench, ones, monkeypatch):
+    frame, known, made, real = Frame(bench), Recordings(), [], hazards.Footprint
+    monkeypatch.setattr("postfx.runtime.commands.Footprint", lambda records: made.append(1) or real(records))
+    for value in (1, 5, 7):
+        frame.x.upload(value * ones)
+        run(record(frame, known))
+        assert np.array_equal(frame.total.array, 3 * value * ones)
+    assert len(made) == 1
+    run(record(frame, known, barrier=False))
+    assert len(made) == 2
+    table = frame.tables[1][1]
+    table[list(table)[-1]] = bench.tensor("other total")
+    run(record(frame, known))
+    assert len(made) == 3
+
+
+def test_known_commands_are_still_searched_beside_others_in_flight(bench):
+    frame, known = Frame(bench), Recordings()
+    run(record(frame, known, barrier=False))
+    first = record(frame, known, barrier=False)
+    first.commit()
+    with pytest.raises(HazardError, match="in no certain order"):
+        record(frame, known, barrier=False).commit()
+    first.wait(10)
+    run(record(frame, known, barrier=False))
+
+
+def test_known_commands_with_a_released_tensor_are_refused(bench):
+    frame, known = Frame(bench), Recordings()
+    run(record(frame, known))
+    again = record(frame, known)
+    frame.doubled.release()
+    with pytest.raises(HazardError, match="'doubled', which was released before commit"):
+        again.commit()
