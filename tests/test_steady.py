@@ -82,6 +82,7 @@ def test_planes_in_the_same_memory_are_known_again(monkeypatch: pytest.MonkeyPat
             patch.setattr("postfx.runtime.commands.Footprint", lambda records: made.append(1) or Footprint(records))
             found = same(lasting)
         assert len(made) == before + (number < 3)
+        assert same.device.heap.size < 1.2 * same.device.heap.used  # the first frame's memory went when the second came
         np.testing.assert_array_equal(found[Role.COLOUR], other(new)[Role.COLOUR])
         gone.append(weakref.ref(new[Role.COLOUR]))
         del new

@@ -164,6 +164,7 @@ class CommandBuffer:
             stands_apart = self.device.hazards.commit(self)
             if self.known and key:
                 self.known.keep(key, Recorded(self.records, self._placement, self.footprint()))
+            self.device.heap.arena.give_back()
             self._state = "committed"
             capture = self.device.active_capture if self.captured else None
             self._recorder = None if capture is None else capture.record(self)

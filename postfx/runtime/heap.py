@@ -228,15 +228,18 @@ class Arena:
             return None
         if before is None or before.memory is not self._get_memory():
             before = self._new(records, kept)
-        if self._replaced is not None and self._replaced() is None:
-            self._replaced = None
-            self._device.heap.trim()
         self._turn, self._label, self.plan = self._turn + 1, label, before.plan
         for (transient, allocation), taker in zip(before.places, before.plan.takers, strict=True):
             allocation.written, allocation.released = Ranges(), transient.released
             transient.place, transient.turn = allocation, self._turn
             transient.successor = None if taker is None else before.places[taker][0].name
         return before
+
+    def give_back(self) -> None:
+        """Give memory that was replaced back to the system, if nothing lies in it any more."""
+        if self._replaced is not None and self._replaced() is None:
+            self._replaced = None
+            self._device.heap.trim()
 
     def explain_loss(self, transient: Transient) -> str | None:
         """Why a transient tensor lost its content, as a clause; None while it still has it."""
