@@ -69,6 +69,7 @@ def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int, t
 def test_planes_in_the_same_memory_are_known_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands are searched for hazards once for each of two histories, and results are those of planes that lie
     elsewhere in each frame, which nothing keeps in memory."""
+    monkeypatch.setattr("postfx.runtime.heap.CHUNK", 1)
     made: list[int] = []
     same, other = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()], Device("cpu", threads=1))
                    for _ in range(2))
