@@ -232,6 +232,14 @@ def path_by(flow: np.ndarray, y: int, x: int, back: Real, on: Real) -> Path:
     return back * u, back * v, on * u, on * v, ONE, ONE
 
 
+@in_lanes(4)
+def most_apart(v: Any, side: Any, at: Any, own: Any, place: Any, scale: Any) -> Any:
+    """The largest difference of a path of a side, in cells, to one of a field."""
+    apart = (v.load(side, at) * scale - v.load(own, place)).magnitude()
+    pair = apart.part(0, 2).largest(apart.part(2, 2))
+    return pair.part(0, 1).largest(pair.part(1, 1)).number(0)
+
+
 @inline
 def is_still(path: Path) -> bool:
     """Whether a path stands still."""
@@ -263,6 +271,7 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
     around, size = 2 * steps, np.float32(scale)
     flowing = around + 2 if ahead.size else around
     count = flowing + 1 if mirrored.size else flowing
+    flat_own, flat_first, flat_last = own.reshape(-1), first.reshape(-1), last.reshape(-1)
     for y in range(y0, y1):
         for x in range(w):
             mine, v, u = path_of(own, y, x), scale * y + middle, scale * x + middle
@@ -271,10 +280,14 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
             best = np.float32(-2)  # not looked at yet: many cells have no other path around them
             for k in range(count):
                 if k < around:
-                    j, i = y + STEPS[k % steps, 0], x + STEPS[k % steps, 1]
+                    step = k if k < steps else k - steps
+                    j, i = y + STEPS[step, 0], x + STEPS[step, 1]
                     if not (0 <= j < h and 0 <= i < w):
                         continue
-                    path = side_path(first if k < steps else last, k // steps, size, j, i)
+                    side = flat_first if k < steps else flat_last
+                    if not most_apart(side, 8 * (j * w + i), flat_own, 6 * (y * w + x), size) > OTHER:
+                        continue
+                    path = side_path(first if k < steps else last, int(k >= steps), size, j, i)
                 elif k == flowing:
                     path = path_by(mirrored, y, x, time, time - ONE)
                     if path[0] == path[0]:  # there, the motion is that of the place to which the path leads
