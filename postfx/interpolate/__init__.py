@@ -313,12 +313,12 @@ class Between:
             motion = self._enlarge(self._estimated[1])
         if not has_depth:
             near, far = self._rank(motion)
-        ahead = invert_motion(motion, far, near)
         known_from_before = Role.MOTION in self.after and Role.MOTION in self.before and not self.before.reset
-        goes, later = None, self._later
+        later, inverted = self._later, [lambda: invert_motion(motion, far, near)]
         if has_depth and later is not None and not later.reset and Role.MOTION in later and Role.DEPTH in later:
             if later[Role.MOTION].shape[:2] == self._size:
-                goes = invert_motion(*self._cells_of(later), far)
+                inverted.append(lambda: invert_motion(*self._cells_of(later), far))
+        ahead, goes = (*_at_once(inverted), None)[:2]
         first, last = paths_of(motion, ahead, near, far, came if known_from_before else None, goes, _in_bands)
         for paths, frame in ((first, self.before), (last, self.after)):
             paths.ends += np.array(frame.jitter * 2, np.float32) / np.float32(self._scale)
