@@ -356,10 +356,10 @@ class Between:
             own[..., :4] -= shift
             for side in (one, other):
                 side[..., :4] -= shift / np.float32(self._scale)
-        fill_holes(own, np.minimum(near, far))
+        fill_holes(own, depth := np.minimum(near, far))
         cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
         _in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows,
-                  self._mirrored, t, self._scale, self._noise, cells)
+                  self._mirrored, depth, first.depth, last.depth, t, self._scale, self._noise, cells)
         _in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, self._noise, cells)
         _in_bands(self._grid[0], join_cells, cells)
         return cells

@@ -29,7 +29,10 @@ OTHER = np.float32(0.3)
 """Pixels by which paths must differ to be worth a comparison."""
 BETTER = np.float32(1.5)
 """How many times as well another path must fit to be taken; one of a cell beside, by the misfit of noise more."""
-STILL, BETTER_STILL = np.float32(0.01), np.float32(2)
+ELSE = np.float32(0.5)
+"""Share of a depth below which something is another thing, in front. What stands for depth where there is none never
+differs by more."""
+STILL, BETTER_STILL = np.float32(0.01), np.float32(1.75)
 """Pixels below which a path stands still, and how much better another one must fit than that: it is compared between
 pixels, where noise is averaged."""
 UNSEEN, UNSEEN_NOISE = np.float32(0.12), np.float32(2)
@@ -253,17 +256,45 @@ def differ(one: Path, other: Path) -> bool:
                 or abs(one[3] - other[3]) > OTHER)
 
 
+@inline
+def depth_at(depth: np.ndarray, y: Real, x: Real, size: Real) -> Real:
+    """Depth (rows, columns, 1) that a frame shows at a pixel."""
+    half = np.float32(0.5)
+    j = min(max(int((y + half) / size), 0), depth.shape[0] - 1)
+    return depth[j, min(max(int((x + half) / size), 0), depth.shape[1] - 1), 0]
+
+
+@inline
+def value_at(toned: np.ndarray, known: np.ndarray, y: Real, x: Real) -> Real:
+    """A toned picture between four pixels."""
+    stride = known.shape[1] + 2 * MARGIN
+    y, x = min(max(y, -ONE), np.float32(known.shape[0])), min(max(x, -ONE), np.float32(known.shape[1]))
+    j, i = int(np.floor(y)), int(np.floor(x))
+    at, down, across = (j + MARGIN) * stride + i + MARGIN, np.float32(y - j), np.float32(x - i)
+    upper = toned[at] + across * (toned[at + 1] - toned[at])
+    lower = toned[at + stride] + across * (toned[at + stride + 1] - toned[at + stride])
+    return upper + down * (lower - upper)
+
+
+@inline
+def difference(before: np.ndarray, after: np.ndarray, known: np.ndarray, y: Real, x: Real, path: Path) -> Real:
+    """Difference of two toned pictures where a path leads to."""
+    return abs(value_at(before, known, y + path[1], x + path[0]) - value_at(after, known, y + path[3], x + path[2]))
+
+
 @compiled
 def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
                  known_after: np.ndarray, own: np.ndarray, first: np.ndarray, last: np.ndarray, ahead: np.ndarray,
-                 back: np.ndarray, mirrored: np.ndarray, t: Real, scale: int, noise: Real, cells: np.ndarray) -> None:
+                 back: np.ndarray, mirrored: np.ndarray, depth: np.ndarray, near: np.ndarray, far: np.ndarray, t: Real,
+                 scale: int, noise: Real, cells: np.ndarray) -> None:
     """The path of each cell (rows, columns, 8): its own, or another one around it or of the flow that fits much better;
     the last two numbers are left.
 
     before, after: toned, flat, with margins. known: (h, w), False under overlays. own: (rows, columns, 6).
     first, last: both sides, whose paths around a cell are tried. ahead, back: (rows, columns, 2) flow of both frames to
-    the other one, in pixels, or empty. mirrored: likewise of what the frame after reflects, to the one before. scale:
-    pixels of a cell. noise: misfit of paths that are right.
+    the other one, in pixels, or empty. mirrored: likewise of what the frame after reflects, to the one before. depth:
+    (rows, columns) of what arrived. near, far: (rows, columns, 1) depth of both frames. scale: pixels of a cell. noise:
+    misfit of paths that are right.
     """
     h, w = own.shape[:2]
     unseen = UNSEEN + UNSEEN_NOISE * noise
@@ -301,6 +332,19 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
                 if path[0] != path[0] or not (differ(path, taken) and differ(path, tried)):
                     continue
                 tried = path
+                beyond = depth[y, x]
+                if k < around:
+                    beyond = depth[j, i]
+                elif k < flowing:
+                    one = depth_at(near, v + path[1], u + path[0], size)
+                    other = depth_at(far, v + path[3], u + path[2], size)
+                    if max(one, other) < ELSE * beyond and beyond < FAR:  # two bars that look alike are not one
+                        continue
+                    beyond = min(one, other)
+                if depth[y, x] < ELSE * beyond and mine[4] + mine[5] == 2:  # the wall fits around a thin bar, not at it
+                    allowed = difference(before, after, known_before, v, u, path) + noise
+                    if difference(before, after, known_before, v, u, mine) <= allowed:
+                        continue
                 margin = noise if k < around else margin
                 if best < -ONE:
                     best = misfit(before, after, known_before, known_after, v, u, mine)

@@ -171,6 +171,25 @@ def test_a_spark_without_vectors_is_shown_once(t):
     np.testing.assert_array_equal(found, frames[round(t)][Role.COLOUR], "as in the nearer frame")
 
 
+def barred(t: float) -> Frame:
+    """Two thin bars that look alike move by 32 pixels a frame, the wall behind them by 16."""
+    y, x = np.indices((96, 160), np.float64)
+    is_bar = (np.abs(x - 40 - 32 * t) < 2) | (np.abs(x - 76 - 32 * t) < 2)
+    colour = np.where(is_bar, 0.05, 1 + 0.3 * np.sin(0.3 * (x - 16 * t)) * np.sin(0.3 * y))
+    motion = np.stack([np.where(is_bar, -32, -16), 0 * y], -1)
+    planes = {Role.COLOUR: colour[..., None].repeat(3, -1), Role.MOTION: motion,
+              Role.DEPTH: np.where(is_bar, 2, 8)[..., None]}
+    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=int(t) + 1)
+
+
+@pytest.mark.parametrize("flow", [True, False])
+def test_thin_things_are_where_they_are_and_nowhere_else(flow):
+    """The wall behind them fits better around them, and one in the frame before to the other in the frame after."""
+    found = Between(barred(0), barred(1), flow=flow).frame(0.5)[Role.COLOUR][8:-8, :, 0]
+    dark = np.nonzero((found < 0.5).mean(0) > 0.5)[0]
+    assert {56, 92} <= set(dark) <= {54, 55, 56, 57, 58, 90, 91, 92, 93, 94}
+
+
 def test_what_is_dark_in_one_frame_and_black_in_the_other_is_mixed():
     frames = []
     for number, dark in ((1, 1e-3), (2, 0.0)):
