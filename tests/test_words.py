@@ -15,7 +15,8 @@ ROOT = Path(__file__).resolve().parent.parent
 MOST = 35
 """Words of a sentence."""
 PAGES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "docs/index.md", "docs/gallery.md",
-         "docs/training.md", "docs/interpolation.md", "docs/neural.md", "docs/quality.md", "docs/lab/denoiser.md",
+         "docs/training.md", "docs/interpolation.md", "docs/neural.md", "docs/quality.md", "docs/runtime.md",
+         "docs/lab/denoiser.md",
          *(path.relative_to(ROOT).as_posix() for folder in ("start", "howto", "concepts", "reference", "measured")
            for path in sorted((ROOT / "docs" / folder).glob("*.md"))))
 _END = re.compile(r"(?<=[.!?])[)\"'*]*\s+(?=[A-Z0-9'`*(\[{]|--)|(?<=:\*\*)\s+")
