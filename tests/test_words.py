@@ -14,11 +14,8 @@ from postfx.cli.main import make_parser
 ROOT = Path(__file__).resolve().parent.parent
 MOST = 35
 """Words of a sentence."""
-PAGES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "docs/index.md", "docs/gallery.md",
-         "docs/training.md", "docs/interpolation.md", "docs/neural.md", "docs/quality.md", "docs/runtime.md",
-         "docs/lab/denoiser.md",
-         *(path.relative_to(ROOT).as_posix() for folder in ("start", "howto", "concepts", "reference", "measured")
-           for path in sorted((ROOT / "docs" / folder).glob("*.md"))))
+PAGES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md",
+         *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").rglob("*.md"))))
 _END = re.compile(r"(?<=[.!?])[)\"'*]*\s+(?=[A-Z0-9'`*(\[{]|--)|(?<=:\*\*)\s+")
 """Where a sentence ends: after its full stop, or after the bold label of a list item."""
 _ABBREVIATIONS = re.compile(r"\b(e\.g|i\.e|etc|vs|cf)\.")
