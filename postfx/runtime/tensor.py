@@ -366,15 +366,18 @@ class Tensor:
         return {"shape": self.shape, "typestr": element_type(self.dtype).str, "strides": None, "version": 3,
                 "data": (self.resident().start, not self.allocation.writable), "stream": None}
 
-    def view(self, name: str, shape: tuple[int, ...], offset: int = 0) -> Tensor:
-        """A tensor over part of the same memory: `shape` elements from element `offset` on, no copy."""
+    def view(self, name: str, shape: tuple[int, ...], offset: int = 0, dtype: str | None = None) -> Tensor:
+        """A tensor over part of the same memory: `shape` elements from element `offset` on, no copy. With a `dtype`,
+        their bits are numbers of that type, which has the same size."""
         if not self.contiguous:
             raise BindingError(f"'{self.name}' is strided: take the view of the array, and wrap that")
+        if dtype and element_type(dtype).itemsize != element_type(self.dtype).itemsize:
+            raise BindingError(f"view '{name}' of {dtype} needs elements of the size of {self.dtype}'s, '{self.name}'")
         skipped = offset * element_type(self.dtype).itemsize
         if offset < 0 or skipped + size_in_bytes(shape, self.dtype) > self.nbytes:
             raise BindingError(f"view '{name}' {tuple(shape)} at {offset} does not fit into '{self.name}' {self.shape}")
         inside = self.start - self.allocation.pointer + skipped
-        return Tensor(self._device, name, shape, self.dtype, self.allocation, inside)
+        return Tensor(self._device, name, shape, dtype or self.dtype, self.allocation, inside)
 
     def release(self) -> None:
         """Return the memory to the heap, or drop a wrapped array; this tensor and its views become unusable.

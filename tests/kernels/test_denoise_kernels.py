@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from postfx.kernels import Kernel
-from postfx.kernels.denoise.network_io import STORE, STORE_RINGED
+from postfx.kernels.denoise import FINE
+from postfx.kernels.denoise.network_io import OPEN_FINE_PRODUCTS, OPEN_SOME_PRODUCTS, SOME, STORE, STORE_RINGED
 from postfx.kernels.image import RESAMPLE, positions
 from postfx.runtime import Device
 from tests.kernels.denoise_cases import KERNELS, ODD, Case, arguments, run, runs_of
@@ -79,3 +80,18 @@ def _resampled(inputs: dict[str, np.ndarray], case: Case, channels: int = 2) -> 
     output = np.empty((case.height, case.width, channels), np.float32)
     RESAMPLE.rows(0, case.height, *inputs.values(), output)
     return output
+
+
+def test_products_are_opened_where_they_lie() -> None:
+    """Some channels after the other, each in the place of products that were opened before: the same bits."""
+    random, (h, w) = np.random.default_rng(5), (12, 20)
+    store = random.integers(-4000, 4000, (FINE + SOME) * h * w, np.int32)
+    scaling = random.normal(0, 1e-3, (2, 4 * FINE)).astype(np.float32)
+    products, wanted = store[SOME * h * w:].reshape(1, 4 * FINE, h // 2, w // 2), np.empty((1, FINE, h, w), np.float32)
+    OPEN_FINE_PRODUCTS.rows(0, h, products.copy(), scaling, wanted)
+    fine = store.view(np.float32)[:FINE * h * w].reshape(1, FINE, h, w)
+    for first in range(0, FINE, SOME):
+        some, at = slice(first, first + SOME), np.full(1, first, np.float32)
+        for rows in ((0, 5), (5, h)):
+            OPEN_SOME_PRODUCTS.rows(*rows, products[:, 4 * first:4 * (first + SOME)], scaling, at, fine[:, some])
+    np.testing.assert_array_equal(fine, wanted)

@@ -175,19 +175,33 @@ def scaled_states(left: np.ndarray, right: np.ndarray, scales: np.ndarray, row: 
 
 
 @compiled
-def open_fine_products_rows(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, fine: np.ndarray) -> None:
-    """The fine head: weights, gates and the hidden state."""
-    for channel in range(FINE):
+def open_fine_channels(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, first: int,
+                       fine: np.ndarray) -> None:
+    """Channels of the fine head, from the `first` on: weights, gates and the hidden state."""
+    for channel in range(first, first + fine.shape[1]):
         for y in range(y0, y1):
-            first = 4 * channel + 2 * (y % 2)
-            left, right, row = products[0, first, y // 2], products[0, first + 1, y // 2], fine[0, channel, y]
-            scales = scaling[:, first:first + 2]
+            at, phase, row = 4 * (channel - first), 2 * (y % 2), fine[0, channel - first, y]
+            left, right = products[0, at + phase, y // 2], products[0, at + phase + 1, y // 2]
+            scales = scaling[:, 4 * channel + phase:4 * channel + phase + 2]
             if channel < BLEND:
                 scaled_weights(left, right, scales, row)
             elif channel < MEMORY:
                 scaled_gates(left, right, scales, row)
             else:
                 scaled_states(left, right, scales, row)
+
+
+@compiled
+def open_fine_products_rows(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, fine: np.ndarray) -> None:
+    """The fine head."""
+    open_fine_channels(y0, y1, products, scaling, 0, fine)
+
+
+@compiled
+def open_some_products_rows(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, first: np.ndarray,
+                            fine: np.ndarray) -> None:
+    """Some channels of the fine head, from `first` (1,) on."""
+    open_fine_channels(y0, y1, products, scaling, int(first[0]), fine)
 
 
 @fused
@@ -224,6 +238,16 @@ OPEN_FINE_PRODUCTS = Kernel(
     "denoise_open_fine_products", ("products", "scaling"), ("fine",), open_fine_products_rows, ("fine", 2),
     {"products": (1, 4 * FINE, "half_hp", "half_wp"), "scaling": (2, 4 * FINE),
      "fine": (1, FINE, "2*half_hp", "2*half_wp")},
+    {"products": "int32"})
+
+
+# The fine head's integer products and what is made of them are most of a frame's memory. So compiled rows put the
+# latter where the former were: as phases lie apart, `SOME` channels before, where all products are opened by then.
+SOME = 8
+OPEN_SOME_PRODUCTS = Kernel(
+    "denoise_open_some_products", ("products", "scaling", "first"), ("fine",), open_some_products_rows, ("fine", 2),
+    {"products": (1, "4*channels", "half_hp", "half_wp"), "scaling": (2, 4 * FINE), "first": (1,),
+     "fine": (1, "channels", "2*half_hp", "2*half_wp")},
     {"products": "int32"})
 
 

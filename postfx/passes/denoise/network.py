@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from itertools import zip_longest
 
 import numpy as np
 
@@ -20,7 +21,9 @@ from postfx.kernels.denoise.network_io import (
     OPEN_FINE_PRODUCTS,
     OPEN_PHASED,
     OPEN_PRODUCTS,
+    OPEN_SOME_PRODUCTS,
     PACK,
+    SOME,
     STORE,
     STORE_RINGED,
     opened_shape,
@@ -135,7 +138,8 @@ class Network:
         if unmarked:
             raise ModelError(f"network '{state.name}': no card beside it marks {', '.join(unmarked)} as constant; take "
                              "the card that it was made with, or make both again with training.denoise.quantise")
-        made = {b.name: new(b.name, state.shapes[b.name], b.dtype) for b in state.bindings if b.name.startswith(MADE)}
+        made = {b.name: heads[b.name] if b.name in heads else new(b.name, state.shapes[b.name], b.dtype)
+                for b in state.bindings if b.name.startswith(MADE)}
         constants = {name: _kept(state, name, array) for name, array in state.constants.items()
                      if name.startswith((CODING, SCALING))}
         known = {**parts_of(seen["features"]), **seen, **heads, **made}
@@ -143,12 +147,13 @@ class Network:
         packed = [name for name in made if name.startswith((PACKED, STORED))]
         closed = [name for name in made if name.startswith((RAW, PHASED_FINE, PRODUCTS))]
         self._before = [_packer(state, made[name], constants, seen) for name in packed]
-        self._after = [_opener(state, made[name], constants, heads) for name in closed]
+        openers = [_openers(state, made[name], constants, heads) for name in closed]
+        self._after = [[table for table in step if table] for step in zip_longest(*openers)]
 
     def encode(self, commands: CommandBuffer) -> None:
         """Record the network's run, which waits for the kernels before it."""
         if self._before:
-            _dispatch(commands, "pack", self._before, ("compute", "machine-learning"))
+            _dispatch(commands, "pack", [self._before], ("compute", "machine-learning"))
         with commands.machine_learning_encoder("network") as encoder:
             encoder.barrier(after="compute", before="machine-learning")
             encoder.dispatch_network(self._table.state, self._table)
@@ -169,6 +174,23 @@ def _kept(state: PipelineState, name: str, array: np.ndarray) -> Tensor:
     tensor = state.device.heap.tensor(name, array.shape)
     tensor.upload(array)
     return tensor
+
+
+def _openers(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor],
+             heads: Mapping[str, Tensor]) -> list[ArgumentTable]:
+    """Tables to run one after the other. Of products that lie behind the fine head in the same memory, some channels at
+    a time take the place of those before."""
+    if closed.name not in heads:
+        return [_opener(state, closed, constants, heads)]
+    fine, (_, count, rows, columns), tables = heads["fine"], heads["fine"].shape, []
+    for channel in range(0, count, SOME):
+        some, at = min(SOME, count - channel), channel * rows * columns
+        tables.append(_table(
+            state, OPEN_SOME_PRODUCTS, scaling=constants[f"{SCALING}fine"],
+            first=_kept(state, "first", np.full(1, channel, np.float32)),
+            products=closed.view(closed.name, (1, 4 * some, rows // 2, columns // 2), at),
+            fine=fine.view("fine", (1, some, rows, columns), at)))
+    return tables
 
 
 def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor],
@@ -192,11 +214,14 @@ def _table(state: PipelineState, kernel: Kernel, **tensors: Tensor) -> ArgumentT
     return ArgumentTable(state.device.compute_state(kernel), tensors)
 
 
-def _dispatch(commands: CommandBuffer, label: str, tables: list[ArgumentTable], after: tuple[str, ...]) -> None:
+def _dispatch(commands: CommandBuffer, label: str, steps: list[list[ArgumentTable]], after: tuple[str, ...]) -> None:
     with commands.compute_encoder(label) as encoder:
         encoder.barrier(after=after, before="compute")
-        for table in tables:
-            encoder.dispatch(table.state, table)
+        for number, tables in enumerate(steps):
+            if number:
+                encoder.barrier()
+            for table in tables:
+                encoder.dispatch(table.state, table)
 
 
 PLAIN, GUIDED, UNSCALED = "plain", "guided", "unscaled"
@@ -250,7 +275,7 @@ class Graph:
         """
         warped = self._made["warped"] if moves else tensors["history"]
         end, doubts = self._ends[model], model in self._doubting
-        known = {"warped": warped, "keep": self._keep(tensors, masked),
+        known = {"warped": warped, "keep": self._keep(tensors, masked), "fine": self._heads[model]["fine"],
                  "means": self._means if doubts else self._no_means}
         self._bind(self._tables, {**tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
@@ -287,7 +312,13 @@ class Graph:
 
     def _heads_of(self, network: PipelineState, between: Callable[..., Tensor]) -> dict[str, Tensor]:
         """The heads that the filters read, by name; for levels that the network does not compute, their constants."""
-        heads = {name: between(name, shape) for name, shape in heads_of(network).items()}
+        shapes, products = heads_of(network), f"{PRODUCTS}fine"
+        heads = {name: between(name, shape) for name, shape in shapes.items()}
+        if products in network.shapes and self._device.runs_rows:
+            behind = SOME * math.prod(shapes["fine"][2:])
+            both = between("fine and its products", (behind + math.prod(shapes["fine"]),))
+            heads |= {"fine": both.view("fine", shapes["fine"]),
+                      products: both.view(products, network.shapes[products], behind, "int32")}
         for name, values in alike_heads(network).items():
             heads[name] = self._kept(name, (1, values.shape[1], *self._window.level(int(name[-1]))))
             heads[name].upload(np.broadcast_to(values, heads[name].shape))
