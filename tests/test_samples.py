@@ -243,7 +243,7 @@ def test_memory_is_measured_within_a_budget():
     """The peak of a process begins with that of the one that starts it, which must be small."""
     printed = run_alone("measure_memory.py", "--sizes", "1920x1080", "--memory", "none,640M", "--model", "s")
     whole, part = (float(line.split(": ")[1].split()[0]) for line in printed.splitlines())
-    assert whole > 800 and part < 640, printed
+    assert part < 640 and part < 0.8 * whole, printed
 
 
 def test_what_the_ray_caster_writes_is_right(tmp_path):
@@ -263,5 +263,5 @@ def test_every_script_is_run_here():
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
              "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py", "time_model.py",
-             "neural_material.py", "neural_shading.py"}
+             "neural_material.py", "neural_shading.py", "display.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

@@ -8,6 +8,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MissingFrameError, ReadError
+from postfx.io.exr.container import ExrContainer, ZipReader
 from postfx.io.image_file import ImageFile
 
 
@@ -135,3 +136,15 @@ def test_display_pictures_are_refused(tmp_path: Path):
     (tmp_path / "a.png").write_bytes(b"")
     with pytest.raises(ReadError, match=r"a\.png: not a scene-linear image"):
         ImageFile(tmp_path / "a.png")
+
+
+def test_zip_leaves_rows_that_its_table_does_not_hold_to_openimageio(tmp_path: Path):
+    path = tmp_path / "a.exr"
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage},
+                 {name: np.ones((40, 8), np.float32) for name in "RGB"}).write(str(path))
+    with ExrContainer(path) as file:
+        reader = ZipReader(file, 0)
+        assert reader.read(["G"], 0, 40)["G"].shape == (40, 8)
+        assert reader.read(["G"], 0, 41) is None and reader.read(["G"], -1, 8) is None
+        file.counts[0] = 2  # as if the header told of fewer lines than OpenImageIO reads
+        assert reader.read(["G"], 0, 40) is None and reader.read(["G"], 0, 32) is not None

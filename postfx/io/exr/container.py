@@ -341,8 +341,10 @@ class ZipReader:
     def read(self, names: Sequence[str], first: int, last: int) -> dict[str, np.ndarray] | None:
         """Channels as float32 (rows, width), of the data window's rows from `first` to `last`, not included, both
         counted from its top. None where the file is broken."""
-        found = {name: np.empty((last - first, self._data.width), np.float32) for name in names}
         places = range(first // self._lines, -(-last // self._lines))
+        if not 0 <= first < last <= self._data.height or places.stop > self._file.counts[self._part]:
+            return None
+        found = {name: np.empty((last - first, self._data.width), np.float32) for name in names}
         stored = [self._file.read(self._file.chunk(self._part, place)) for place in places]
         with ThreadPoolExecutor(oiio.get_int_attribute("threads"), "postfx zip") as pool:
             return found if all(pool.map(partial(self._unpack, found, first), places, stored)) else None
