@@ -273,16 +273,21 @@ def _storer(count: int) -> Any:
     return store
 
 
+def _multiply_add(count: int, builder: Any, some: Any, factors: Any, sums: Any) -> Any:
+    """some * factors + sums, vectors of float32."""
+    kind, name = _vector_of(count), f"llvm.fmuladd.v{count}f32"
+    function = builder.module.declare_intrinsic(name, (), ir.FunctionType(kind, [kind] * 3))
+    return builder.call(function, [some, factors, sums])
+
+
 def _adder(count: int, many_weights: bool) -> Any:
     @intrinsic
     def add(typingctx: Any, total: Any, some: Any, weight: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            kind, name = _vector_of(count), f"llvm.fmuladd.v{count}f32"
-            function = builder.module.declare_intrinsic(name, (), ir.FunctionType(kind, [kind] * 3))
             sums, values = (_as_vector(count, builder, some) for some in arguments[:2])
             weights = (_as_vector(count, builder, arguments[2]) if many_weights else
                        _pack(builder, [arguments[2]] * count))
-            return _as_tuple(builder, builder.call(function, [values, weights, sums]))
+            return _as_tuple(builder, _multiply_add(count, builder, values, weights, sums))
 
         own = _tuple_of(count)
         return own(total, some, own if many_weights else types.float32), generate
@@ -294,11 +299,9 @@ def _mixer(count: int) -> Any:
     @intrinsic
     def mix(typingctx: Any, some: Any, others: Any, share: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            kind, name = _vector_of(count), f"llvm.fmuladd.v{count}f32"
-            function = builder.module.declare_intrinsic(name, (), ir.FunctionType(kind, [kind] * 3))
             first, second = (_as_vector(count, builder, some) for some in arguments[:2])
             shares = _pack(builder, [arguments[2]] * count)
-            return _as_tuple(builder, builder.call(function, [builder.fsub(second, first), shares, first]))
+            return _as_tuple(builder, _multiply_add(count, builder, builder.fsub(second, first), shares, first))
 
         return _tuple_of(count)(some, others, types.float32), generate
 

@@ -224,10 +224,10 @@ class ClipPool:
         thinned = [random.random() < sparse for _ in clips]
         surfaces = [sparser(c, v, turn) if thin else v for c, v, thin in zip(clips, variants, thinned, strict=True)]
         stack = collate(clips, variants, crop, surfaces)
-        return stack if turn == 0 else played_on(stack, backwards=turn % 2 == 1)
+        return stack if turn == 0 else play_on(stack, backwards=turn % 2 == 1)
 
 
-def played_on(stack: Stack, backwards: bool) -> Stack:
+def play_on(stack: Stack, backwards: bool) -> Stack:
     """Windows that continue after the same windows were played the other way: the frame at the turn comes twice, and
     nothing moves between the two."""
     kept, planes = stack.keep.clone(), stack.planes.clone()

@@ -108,14 +108,14 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
     """The arguments; a resumed run's arguments replace the defaults."""
     parser = options()
     args = parser.parse_args(words)
-    if args.carry and args.both_ways:
-        parser.error("--carry and --both-ways exclude each other")
     if args.resume:
         saved = read(args.resume)
         if "optimiser" not in saved:
             parser.error(f"{args.resume} holds weights only: begin a new run with --start")
         parser.set_defaults(**saved["arguments"])
         args = parser.parse_args(words)
+    if args.carry and args.both_ways:
+        parser.error("--carry and --both-ways exclude each other")
     return args
 
 

@@ -1,18 +1,11 @@
 """The sequences by which frames between frames are judged."""
 
-import os
-from pathlib import Path
 
 import numpy as np
-import pytest
 
-mi = pytest.importorskip("mitsuba", reason="mitsuba is not installed (extra 'train')")
-FOUND = [*Path("/usr/lib").glob("*/libLLVM*19*"), *Path("/usr/lib/llvm-19/lib").glob("libLLVM*.so*")]
-if FOUND:
-    os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(FOUND[0]))
-if "DRJIT_LIBLLVM_PATH" not in os.environ:
-    pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb", allow_module_level=True)
-mi.set_variant("llvm_ad_rgb")
+from tests.training.llvm import require_mitsuba
+
+mi = require_mitsuba()
 
 from postfx.frame import Role  # noqa: E402
 from postfx.sampling import bilinear  # noqa: E402

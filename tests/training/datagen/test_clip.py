@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-mi = pytest.importorskip("mitsuba", reason="mitsuba is not installed (extra 'train')")
+from tests.training.llvm import require_mitsuba
 
-
-def _variant() -> str | None:
-    """llvm_ad_rgb where a new enough libLLVM is found, else None."""
-    found = [*Path("/usr/lib").glob("*/libLLVM*19*"), *Path("/usr/lib/llvm-19/lib").glob("libLLVM*.so*")]
-    if found:
-        os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(found[0]))
-    return "llvm_ad_rgb" if found or "DRJIT_LIBLLVM_PATH" in os.environ else None
-
-
-if _variant() is None:
-    pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb", allow_module_level=True)
-mi.set_variant(_variant())
+mi = require_mitsuba()
 
 from training.datagen.clip import ClipOptions, Style, draw_spp, filter_table, guide_frame, make_clip, noisy_frame  # noqa: E402
 from training.datagen.clip_file import guide_depth, half_depth, load_clip, save_clip  # noqa: E402

@@ -1,18 +1,13 @@
 """Held-out views, and a view for equivalent sample counts, at toy size."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-mi = pytest.importorskip("mitsuba", reason="mitsuba is not installed (extra 'train')")
-FOUND = [*Path("/usr/lib").glob("*/libLLVM*19*"), *Path("/usr/lib/llvm-19/lib").glob("libLLVM*.so*")]
-if FOUND:
-    os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(FOUND[0]))
-if "DRJIT_LIBLLVM_PATH" not in os.environ:
-    pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb", allow_module_level=True)
-mi.set_variant("llvm_ad_rgb")
+from tests.training.llvm import require_mitsuba
+
+mi = require_mitsuba()
 
 from training.datagen.held_out import FIRST_SEED, TRAITS, Kind, held_out_view, shows  # noqa: E402
 from training.datagen.scenes import meshes  # noqa: E402

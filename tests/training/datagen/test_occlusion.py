@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-mi = pytest.importorskip("mitsuba")
-_FOUND = [*Path("/usr/lib").glob("*/libLLVM*19*"), *Path("/usr/lib/llvm-19/lib").glob("libLLVM*.so*")]
-if _FOUND:
-    os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(_FOUND[0]))
-elif "DRJIT_LIBLLVM_PATH" not in os.environ:
-    pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb", allow_module_level=True)
-mi.set_variant("llvm_ad_rgb")
+from tests.training.llvm import require_mitsuba
+
+mi = require_mitsuba()
 
 from training.datagen.occlusion import EMPTY, RADII, Scene, render  # noqa: E402
 from training.datagen.scenes.meshes import box  # noqa: E402

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.training.llvm import require_llvm
 from training.datagen.render import Farm, arguments
 
 STUB = """
@@ -85,12 +85,7 @@ def test_a_clip_counts_that_its_worker_had_not_told_of_at_the_end(tmp_path: Path
 
 
 def test_a_real_job_at_toy_size_ends_on_sigterm_and_goes_on(tmp_path: Path) -> None:
-    pytest.importorskip("mitsuba", reason="mitsuba is not installed (extra 'train')")
-    found = sorted(Path("/usr/lib").glob("*/libLLVM*19*"))
-    if not found and "DRJIT_LIBLLVM_PATH" not in os.environ:
-        pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb")
-    if found:
-        os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(found[0]))
+    require_llvm()
     command = [sys.executable, "-m", "training.datagen.render", f"--out={tmp_path}", "--processes-per-gpu=1",
                "--width=16", "--height=16", "--frames=1", "--variants=1", "--reference-spp=4", "--variant=llvm_ad_rgb"]
     first = subprocess.Popen([*command, "--clips=500"], stdout=subprocess.PIPE, text=True)

@@ -28,7 +28,7 @@ from training.denoise.dataset import (  # noqa: E402
     falsify_motion,
     inverse_motion,
     load,
-    played_on,
+    play_on,
     sparser,
     static_motion,
     to_batch,
@@ -184,8 +184,8 @@ def test_later_turns_play_the_same_windows_the_other_way(tmp_path: Path) -> None
 def test_a_cut_is_kept_when_played_backwards() -> None:
     clip = entries(1)
     cut = replace(clip, planes=clip.planes[:, [0, 1, 1]], keep=torch.tensor([[0.0, 0.0, 1.0]]), pairs=("inverse",))
-    assert played_on(cut, backwards=True).keep.tolist() == [[1.0, 1.0, 0.0]]
-    assert played_on(cut, backwards=False).keep.tolist() == [[1.0, 0.0, 1.0]]
+    assert play_on(cut, backwards=True).keep.tolist() == [[1.0, 1.0, 0.0]]
+    assert play_on(cut, backwards=False).keep.tolist() == [[1.0, 0.0, 1.0]]
 
 
 def test_true_albedos_are_those_of_an_exact_render_or_of_many_samples(tmp_path: Path) -> None:

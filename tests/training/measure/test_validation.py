@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 
 from postfx.frame import Role
 from postfx.io.sequence import read_sequence
+from tests.training.llvm import require_llvm
 from training.datagen.clip_file import HALF_MAX
 from training.measure.validation import __main__, clips, compare
 from training.measure.validation.clips import FULL, HALF, SCENES, STYLES, renders
@@ -110,12 +110,7 @@ def test_a_folder_without_clips_is_told(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two clips of two frames, by the command that renders on all GPUs of a machine."""
-    pytest.importorskip("mitsuba", reason="mitsuba is not installed (extra 'train')")
-    found = [*Path("/usr/lib").glob("*/libLLVM*19*"), *Path("/usr/lib/llvm-19/lib").glob("libLLVM*.so*")]
-    if found:
-        os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(found[0]))
-    if "DRJIT_LIBLLVM_PATH" not in os.environ:
-        pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb")
+    require_llvm()
     folder = tmp_path_factory.mktemp("clips")
     sizes = [f"--width={SIZE[0]}", f"--height={SIZE[1]}", "--frames=2", "--reference-error=0.06", "--most-spp=256"]
     command = ["render", f"--out={folder}", "--clips=2", "--variant=llvm_ad_rgb", "--processes-per-gpu=1", *sizes]

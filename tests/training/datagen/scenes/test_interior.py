@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-mi = pytest.importorskip("mitsuba", reason="mitsuba is not installed (extra 'train')")
+from tests.training.llvm import require_mitsuba
 
-_FOUND = [*Path("/usr/lib").glob("*/libLLVM*19*"), *Path("/usr/lib/llvm-19/lib").glob("libLLVM*.so*")]
-if _FOUND:
-    os.environ.setdefault("DRJIT_LIBLLVM_PATH", str(_FOUND[0]))
-if "DRJIT_LIBLLVM_PATH" not in os.environ:
-    pytest.skip("no libLLVM newer than 15 for Mitsuba's llvm_ad_rgb", allow_module_level=True)
-mi.set_variant("llvm_ad_rgb")
+mi = require_mitsuba()
 
 from training.datagen.scenes import clutter, fittings, fixtures, foliage, furnishing, movables, solids  # noqa: E402
 from training.datagen.scenes.build import BuiltScene, Description  # noqa: E402
