@@ -9,7 +9,7 @@ import numpy as np
 Curve = Callable[[np.ndarray], np.ndarray]
 
 BAND = 128
-"""Rows of a band: whole squares of those in which `postfx.masks.misses` measures noise."""
+"""Rows of a band: whole squares of those in which `postfx.masks.noise` measures noise."""
 
 
 def bilinear(plane: np.ndarray, x: np.ndarray, y: np.ndarray, curve: Curve | None = None) -> np.ndarray:

@@ -71,18 +71,15 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 
 ROOMS = (
-    *_kernels("features", 3, "denoise_features"),
-    *_kernels("guides", 2, "denoise_guides", "denoise_trust"),
+    *_kernels("features", 5, "denoise_features", "denoise_guides", "denoise_trust"),
     *_kernels("pyramid", 3, "denoise_pool", "denoise_mix", "denoise_filter", "denoise_remodulate"),
-    *_kernels("prepare", 5, "denoise_scale", "denoise_dilate", "denoise_accumulate", "denoise_resize",
-              "denoise_history"),
+    *_kernels("prepare", 3, "denoise_scale", "denoise_dilate", "denoise_means", "denoise_accumulate"),
     *_kernels("network_io", 2, "denoise_pack", "denoise_open", "denoise_store", "stored"),
     *_kernels("output", 3, "denoise_judge", "denoise_detail", "denoise_restore", "detail_is_told", "denoise_assemble",
               "denoise_correct",
               "denoise_strength"),
-    *_kernels("reactive", 1, "denoise_reactive", "denoise_spread", "denoise_keep"),
-    *_kernels("reflections", 2, "denoise_reflections", "error_of_reflections",
-              also="tests/passes/test_denoise_reflections.py"),
+    *_kernels("history", 5, "denoise_history", "denoise_resize", "denoise_reactive", "denoise_spread", "denoise_keep",
+              "denoise_reflections", "error_of_reflections", also="tests/passes/test_denoise_reflections.py"),
     *_kernels("upsample", 3, "denoise_upsample"),
     *_kernels("parts", 3, "denoise_accumulate_part", "denoise_reflectance", "denoise_upsample_light", "denoise_balance",
               "denoise_decode"),

@@ -19,7 +19,7 @@ from postfx.bench.methods import Omission, catalogue, select
 from postfx.bench.report import ablations, choices, compare, front, write_csv
 from postfx.errors import BenchError, WriteError
 from postfx.frame import Role
-from postfx.passes.denoise.inputs import ABSENT
+from postfx.passes.denoise.planes import ABSENT
 from postfx.runtime import Device, Library
 from postfx.version import __version__
 

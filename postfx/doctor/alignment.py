@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.doctor.statistics import blocks, finite, largest
+from postfx.doctor import blocks, finite, largest
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.sampling import bilinear, is_inside, local_mean
 

@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.depth import ray_slopes
-from postfx.doctor.statistics import finite, largest
+from postfx.doctor import finite, largest
 from postfx.errors import IntegrationError
 from postfx.frame import DEPTH_MISS, Frame, Role, pixel_aspect
-from postfx.integrate.camera import perspective, project, view_rays
-from postfx.integrate.motion import motion_from_depth
+from postfx.integrate.camera import motion_from_depth, perspective, project, view_rays
 from postfx.integrate.surfaces import split_sum
 
 CAMERA_AXES = tuple(map(np.diag, ((-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))))
@@ -200,7 +199,7 @@ def angle_by(frame: Frame, fov_x: float, matrix: np.ndarray) -> float:
 def motion_of_camera(before: Frame, now: Frame) -> np.ndarray | None:
     """Motion (count, 2) in pixels that the cameras alone cause at up to 5000 surface points; None without cameras.
 
-    Points behind the earlier camera have `postfx.integrate.motion.OUT_OF_SIGHT`.
+    Points behind the earlier camera have `postfx.integrate.camera.OUT_OF_SIGHT`.
     """
     if now.fov_x is None or before.fov_x is None or Role.DEPTH not in now:
         return None

@@ -10,7 +10,7 @@ import numpy as np
 
 from postfx.colour import luminance
 from postfx.colour.displays import srgb_decode
-from postfx.doctor import Finding, error, info, warning
+from postfx.doctor import Finding, correlation, error, finite, info, largest, noise_level, percent, warning
 from postfx.doctor.geometry import (
     CAMERA_AXES,
     DEPTH_KINDS,
@@ -32,7 +32,6 @@ from postfx.doctor.geometry import (
     world_axes,
 )
 from postfx.doctor.material import Material
-from postfx.doctor.statistics import correlation, finite, largest, noise_level, percent
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.sampling import local_mean
 

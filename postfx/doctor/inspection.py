@@ -8,10 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from postfx.doctor import Finding, Level, exit_code, geometry_checks, most_important_first, motion_checks, plane_checks
+from postfx.doctor import (
+    Finding,
+    Level,
+    Range,
+    Values,
+    count_values,
+    exit_code,
+    geometry_checks,
+    most_important_first,
+    motion_checks,
+    noise_level,
+    plane_checks,
+    range_of,
+)
 from postfx.doctor.material import Material, Reading, explain_roles, read_material
 from postfx.doctor.pictures import write_pictures
-from postfx.doctor.statistics import Range, Values, count_values, noise_level, range_of
 from postfx.frame import ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match
 from postfx.io.sequence import Sequence

@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from postfx.doctor import Range, Values, count_values, join_ranges, range_of, sum_values
 from postfx.doctor.geometry import Fit, explain_by_camera, fit_rotation
 from postfx.doctor.motion_convention import ReadMotion, UnreadMotion
 from postfx.doctor.motion_variants import Warped, warp_pair
-from postfx.doctor.statistics import Range, Values, count_values, join_ranges, range_of, sum_values
 from postfx.errors import PostfxError
 from postfx.frame import Frame, Role
 from postfx.io.channels import Channel, read_channels

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from postfx.colour import luminance
-from postfx.doctor import Finding, error, info, warning
+from postfx.doctor import Finding, correlation, error, finite, info, noise_level, warning
 from postfx.doctor.alignment import find_movers
 from postfx.doctor.geometry import DepthScale, fit_depth_scale, motion_of_camera
 from postfx.doctor.material import Material
@@ -22,7 +22,6 @@ from postfx.doctor.motion_variants import (
     score_offset,
     score_variants,
 )
-from postfx.doctor.statistics import correlation, finite, noise_level
 from postfx.frame import Frame, Role
 from postfx.sampling import local_mean
 

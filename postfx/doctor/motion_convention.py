@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from postfx.doctor import finite
 from postfx.doctor.motion_variants import Feature, Size, features_of, is_like_colour, score_shifts
-from postfx.doctor.statistics import finite
 from postfx.frame import Frame, Role
 from postfx.io.profile import PlaneRule
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.colour import luminance
-from postfx.doctor.statistics import finite, largest
+from postfx.doctor import finite, largest
 from postfx.frame import Frame, Role
 from postfx.kernels.image import compare_places
 from postfx.sampling import is_inside, local_mean

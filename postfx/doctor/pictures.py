@@ -10,8 +10,8 @@ import numpy as np
 
 from postfx.colour.displays import srgb_encode
 from postfx.colour.views import to_codes
+from postfx.doctor import finite
 from postfx.doctor.geometry import is_hit
-from postfx.doctor.statistics import finite
 from postfx.errors import WriteError
 from postfx.exposure import measure
 from postfx.frame import ERROR_ROLES, Frame, Role

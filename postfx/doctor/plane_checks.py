@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.colour import luminance
-from postfx.doctor import Finding, error, info, warning
+from postfx.doctor import Finding, correlation, error, finite, info, largest, percent, warning
 from postfx.doctor.alignment import PLANES, compare_edges
 from postfx.doctor.geometry import is_hit
 from postfx.doctor.material import Material
-from postfx.doctor.statistics import correlation, finite, largest, percent
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.sampling import local_mean

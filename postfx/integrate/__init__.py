@@ -17,27 +17,25 @@ from postfx.depth import (
 )
 from postfx.errors import IntegrationError
 from postfx.integrate.camera import (
+    dejitter_motion,
     depth_of,
     exposure_hint,
     exposure_of_camera,
     halton,
     jitter_length,
     jitter_sequence,
+    motion_from_depth,
+    motion_from_positions,
+    motion_in_pixels,
     perspective,
     pixel_positions,
     positions_from_depth,
     project,
+    rigid_previous_positions,
+    skinned_previous_positions,
     view_rays,
     with_jitter,
     without_jitter,
-)
-from postfx.integrate.motion import (
-    dejitter_motion,
-    motion_from_depth,
-    motion_from_positions,
-    motion_in_pixels,
-    rigid_previous_positions,
-    skinned_previous_positions,
 )
 from postfx.integrate.planes import frame_header, write_planes
 from postfx.integrate.surfaces import (

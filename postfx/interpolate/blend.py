@@ -16,8 +16,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from postfx.interpolate.choose import differ, is_within
-from postfx.kernels.lanes import in_lanes
 from postfx.kernels.numeric import Real, compiled, inline, summed
+from postfx.kernels.vectors import in_lanes
 from postfx.sampling import local_sum
 
 ZERO, ONE = np.float32(0), np.float32(1)

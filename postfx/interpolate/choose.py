@@ -16,8 +16,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from postfx.interpolate.paths import ALIKE, FAR
-from postfx.kernels.lanes import in_lanes
 from postfx.kernels.numeric import Real, compiled, inline, vectorised
+from postfx.kernels.vectors import in_lanes
 
 Path: TypeAlias = tuple[Real, Real, Real, Real, Real, Real]
 """A path of a field."""

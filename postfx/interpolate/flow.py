@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from postfx.kernels.lanes import in_lanes
 from postfx.kernels.numeric import Real, compiled, inline, vectorised
+from postfx.kernels.vectors import in_lanes
 
 PATCH, STRIDE = 8, 4
 """Pixels along a patch's side, and from one patch to the next."""

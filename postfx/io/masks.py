@@ -14,7 +14,6 @@ from postfx.files import parse_json, read_text
 from postfx.frame import Role
 from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.layout import Header, Layout
-from postfx.masks import converged
 from postfx.masks.cryptomatte import (
     AUTO,
     Coverage,
@@ -26,7 +25,7 @@ from postfx.masks.cryptomatte import (
     snap,
     split_shares,
 )
-from postfx.masks.misses import READS, strength_in_bands
+from postfx.masks.noise import ERROR_READS, MISS_READS, converged_in_bands, misses_in_bands, parse_threshold
 from postfx.system import Scratch
 
 _PREFIX = "cryptomatte/"
@@ -136,8 +135,8 @@ class LeftAlone:
                 self._find(entry, strict)
         self._samples = int(Header(layout).number("samples") or 0) or None
         self._basis = {entry: self._basis_of(entry, layout) for entry in self._entries if entry.is_converged}
-        looked = {Role.COLOUR, Role.STRENGTH, *(READS if self._auto() else ()),
-                  *(converged.READS if self._basis else ())}
+        looked = {Role.COLOUR, Role.STRENGTH, *(MISS_READS if self._auto() else ()),
+                  *(ERROR_READS if self._basis else ())}
         self.reads = tuple(role for role in layout.planes if role in looked)
         if self._auto() and not {Role.DEPTH, Role.NORMAL, Role.ALPHA} & set(self.reads):
             raise StrengthError(f"{path}: '{AUTO}' has no plane to look at: render depth, normals or alpha, too")
@@ -171,8 +170,8 @@ class LeftAlone:
 
     def _basis_of(self, entry: Entry, layout: Layout) -> str:
         """Says which planes show that pixels have converged."""
-        threshold = converged.parse_threshold(entry)
-        for role in layout.planes.keys() & {*converged.READS}:
+        threshold = parse_threshold(entry)
+        for role in layout.planes.keys() & {*ERROR_READS}:
             self._check_size(f"plane '{role}'", layout.planes[role].channels[0])
         try:
             return threshold.basis(layout.planes, self._samples)
@@ -255,7 +254,7 @@ class LeftAlone:
     ) -> None:
         seen: dict[Role, np.ndarray] = {role: planes[role] for role in self.reads if role is not Role.STRENGTH}
         missed = 0
-        for rows, strength, count in strength_in_bands(seen, scratch.relax if scratch else None):
+        for rows, strength, count in misses_in_bands(seen, scratch.relax if scratch else None):
             found[rows] *= entry.strength + (1 - entry.strength) * strength
             self._count(entry, 1 - strength)
             missed += count
@@ -264,8 +263,8 @@ class LeftAlone:
     def _without_converged(
         self, found: np.ndarray, entry: Entry, planes: Mapping[Role, np.ndarray], scratch: Scratch | None
     ) -> None:
-        threshold, relax = converged.parse_threshold(entry), scratch.relax if scratch else None
-        for rows, strength in converged.strength_in_bands(planes, threshold, self._samples, relax):
+        threshold, relax = parse_threshold(entry), scratch.relax if scratch else None
+        for rows, strength in converged_in_bands(planes, threshold, self._samples, relax):
             found[rows] *= entry.strength + (1 - entry.strength) * strength
             self._count(entry, 1 - strength)
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from postfx.kernels import Kernel
 from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, summed
-from postfx.kernels.products import LANES, STRIP, combine, correlate, count_blocks, open_blocks
+from postfx.kernels.vectors import LANES, STRIP, combine, correlate, count_blocks, open_blocks
 
 MOST_LAYERS, MOST_WIDTH = 5, 128
 LAYERS, INPUTS, ENCODED, BANDS, ACTIVATION, SIZES = range(6)

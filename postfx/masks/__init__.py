@@ -6,7 +6,6 @@ explains them and the matching command-line options.
 """
 
 from postfx.errors import StrengthError
-from postfx.masks.converged import Threshold, parse_threshold, strength_of_converged
 from postfx.masks.cryptomatte import (
     AUTO,
     Cryptomatte,
@@ -16,7 +15,7 @@ from postfx.masks.cryptomatte import (
     strength_from_cryptomatte,
     strength_from_ids,
 )
-from postfx.masks.misses import misses_of, strength_of_misses
+from postfx.masks.noise import Threshold, misses_of, parse_threshold, strength_of_converged, strength_of_misses
 
 __all__ = [
     "AUTO",

@@ -9,8 +9,8 @@ import numpy as np
 
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import BLEND, FINE, GUIDE_PLANES, MEMORY
-from postfx.kernels.denoise.features import FEATURE
-from postfx.kernels.denoise.guides import GUIDE, TRUST
+from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
+from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,
@@ -23,10 +23,8 @@ from postfx.kernels.denoise.network_io import (
 )
 from postfx.kernels.denoise.output import ASSEMBLE, CORRECT, DETAIL, JUDGE, RESTORE, STRENGTH
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, RESIZE, SCALE, means_size
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, means_size
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
-from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
-from postfx.kernels.denoise.reflections import REFLECTIONS
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
 from postfx.passes.denoise.tiling import Sizes, Window

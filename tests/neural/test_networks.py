@@ -12,7 +12,7 @@ import torch
 
 from postfx.errors import BindingError, ModelError
 from postfx.kernels.neural import ADAM, FORWARD, GRADIENTS
-from postfx.kernels.products import LANES, STRIP, combine, correlate, count_blocks, open_blocks
+from postfx.kernels.vectors import LANES, STRIP, combine, correlate, count_blocks, open_blocks
 from postfx.neural import DECAYS, EPSILON, Learner, Network
 from postfx.runtime import ArgumentTable, Device, Library
 from tests.kernels import host_cuda

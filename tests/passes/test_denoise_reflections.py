@@ -10,7 +10,7 @@ import pytest
 
 from postfx.frame import Frame, Role
 from postfx.integrate import pixel_positions, project
-from postfx.kernels.denoise.reflections import REFLECTIONS, curvature
+from postfx.kernels.denoise.history import REFLECTIONS, curvature
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.history import NO_CAMERA, NO_FIT, Camera, Cameras

@@ -9,7 +9,7 @@ import pytest
 
 from postfx.frame import Frame, Role
 from postfx.kernels.denoise.output import DETAIL, JUDGE, SUMS
-from postfx.passes.denoise import DenoiseUpscale, output
+from postfx.passes.denoise import DenoiseUpscale, planes
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
@@ -40,7 +40,7 @@ def run(frames: list[Frame], device: Device, **options) -> list[np.ndarray]:
 @pytest.fixture
 def network_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The result as it leaves the network."""
-    monkeypatch.setattr(output.Restore, "encode", lambda self, commands, frame, denoised: denoised)
+    monkeypatch.setattr(planes.Restore, "encode", lambda self, commands, frame, denoised: denoised)
 
 
 def quality(picture: np.ndarray) -> float:
@@ -85,8 +85,8 @@ def test_noise_is_white_detail_is_not_and_the_faint_is_harmless() -> None:
 def test_the_next_frame_sees_what_the_network_made(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = [frame(64, 1, number=1), frame(64, 2, number=2)]
     restored = run(frames, device)
-    encode, turns = output.Restore.encode, iter([False, True])
-    monkeypatch.setattr(output.Restore, "encode",
+    encode, turns = planes.Restore.encode, iter([False, True])
+    monkeypatch.setattr(planes.Restore, "encode",
                         lambda *given: encode(*given) if next(turns) else given[-1])
     plain_first = run(frames, device)
     assert np.abs(restored[0] - plain_first[0]).max() > 1e-2

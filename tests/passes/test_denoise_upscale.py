@@ -8,7 +8,7 @@ import pytest
 from postfx.errors import PassOptionError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.inputs import ABSENT
+from postfx.passes.denoise.planes import ABSENT
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import PLANES, flat, noisy

@@ -17,7 +17,7 @@ import pytest
 
 from postfx.frame import Role
 from postfx.kernels import Kernel
-from postfx.kernels.denoise.reflections import REFLECTIONS
+from postfx.kernels.denoise.history import REFLECTIONS
 from postfx.runtime import Device
 from postfx.runtime.cuda import find_source
 from tests.kernels import denoise_cases, host_cuda, tonemap_cases

@@ -10,12 +10,11 @@ import numpy as np
 
 from training.datagen.clip_file import GUIDES, first_only
 from training.datagen.scenes.build import BuiltScene
-from training.datagen.scenes.draft import Draft
+from training.datagen.scenes.convert import RealScenes
+from training.datagen.scenes.draft import Draft, Probe, choose_path
 from training.datagen.scenes.lights import Environments
 from training.datagen.scenes.motion import Camera, CameraPath, Cut
 from training.datagen.scenes.procedural import draft
-from training.datagen.scenes.real import RealScenes
-from training.datagen.scenes.views import Probe, choose_path
 from training.datagen.tracing import Film, Tracer
 
 # Samples within a pixel ---------------------------------------------------------------------------------------------

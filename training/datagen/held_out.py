@@ -11,11 +11,10 @@ import numpy as np
 
 from training.datagen.clip import other_path
 from training.datagen.scenes.build import BuiltScene, Description
-from training.datagen.scenes.draft import Draft
+from training.datagen.scenes.draft import Draft, Probe, choose_path, probe
 from training.datagen.scenes.lights import Environments
 from training.datagen.scenes.motion import CameraPath, Cut
 from training.datagen.scenes.procedural import draft
-from training.datagen.scenes.views import Probe, choose_path, probe
 from training.datagen.tracing import Film, Tracer
 
 # Traits of a view ---------------------------------------------------------------------------------------------------

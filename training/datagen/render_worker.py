@@ -80,8 +80,8 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
         ClipOptions,
         make_clip,
     )
+    from training.datagen.scenes.convert import RealScenes
     from training.datagen.scenes.lights import Environments
-    from training.datagen.scenes.real import RealScenes
     from training.datagen.tracing import Tracer
 
     fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}

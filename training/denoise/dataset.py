@@ -341,7 +341,7 @@ def _split(stacked: Tensor, planes: tuple[tuple[str, int], ...]) -> dict[str, Te
 NORMAL, MOTION = 9, 14  # first channels of these planes in a stack; further kinds of motion follow motion
 ALBEDOS = slice(3, 9)
 SURFACE = slice(3, 13)  # albedos, normal and roughness: means over a pixel's samples, where those are spread
-# Values for a plane that a file lacks; postfx/passes/denoise/inputs.py fills in the same ones.
+# Values for a plane that a file lacks; postfx/passes/denoise/planes.py fills in the same ones.
 ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0, "motion": 0.0}
 # Planes that are missing together, and how often: renderers seldom write roughness.
 LOSSES = (

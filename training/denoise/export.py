@@ -14,8 +14,8 @@ import torch
 from torch import nn
 
 from postfx.kernels.denoise import FINE, GUIDES, HIDDEN, KERNEL, PHASES
-from postfx.kernels.denoise.features import FEATURE
-from postfx.kernels.denoise.guides import GUIDE, TRUST
+from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
+from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,
@@ -28,10 +28,8 @@ from postfx.kernels.denoise.network_io import (
 )
 from postfx.kernels.denoise.output import ASSEMBLE, CORRECT, DETAIL, JUDGE, RESTORE, STRENGTH
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, RESIZE, SCALE
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
-from postfx.kernels.denoise.reactive import KEEP, REACTIVE, SPREAD_MASK
-from postfx.kernels.denoise.reflections import REFLECTIONS
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
 from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
@@ -39,7 +37,7 @@ from postfx.passes.denoise.network import FEATURE_PARTS, PHASED_FINE
 from training.denoise.model import Trunk, TrunkConfig, stem
 from training.export import export, export_kernel, parity, parser, read_quality, write_card, write_model
 from training.kernels import denoise as kernels
-from training.kernels import extras, parts
+from training.kernels import extras
 
 CHECKED = (48, 80)  # size at which the export is compared with torch: not the size that is traced
 SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, for 1x",
@@ -81,13 +79,13 @@ KERNELS = {
     UPSAMPLE: kernels.Upsample,
     UPSAMPLE_GUIDED: kernels.UpsampleGuided,
     UPSAMPLE_UNSCALED: kernels.UpsampleUnscaled,
-    REFLECT: parts.Reflect,
-    ACCUMULATE_PART: parts.AccumulatePart,
-    UPSAMPLE_LIGHT: parts.UpsampleLight,
-    BALANCE: parts.Balance,
-    CORRECT: parts.Correct,
-    DECODE: parts.Decode,
-    DECODE_ONE: parts.DecodeOne,
+    REFLECT: extras.Reflect,
+    ACCUMULATE_PART: extras.AccumulatePart,
+    UPSAMPLE_LIGHT: extras.UpsampleLight,
+    BALANCE: extras.Balance,
+    CORRECT: extras.Correct,
+    DECODE: extras.Decode,
+    DECODE_ONE: extras.DecodeOne,
     JUDGE: extras.Judge,
     DETAIL: extras.Detail,
     RESTORE: extras.Restore,

@@ -19,9 +19,9 @@ from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.look_table import to_itp
 from postfx.sampling import motion_at
+from training.tonemap.looks import View, exact_view
 from training.tonemap.model import MID_GREY
 from training.tonemap.pictures import hue_chart, ramp
-from training.tonemap.views import View, exact_view
 
 # Checks of a look ---------------------------------------------------------------------------------------------------
 

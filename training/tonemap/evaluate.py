@@ -36,11 +36,10 @@ from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from training.measure.quality_report.document import Block, compose, number, parse, table
 from training.tonemap.checks import SRGB, STEPS, Render, exposed_frames, flicker, greys, halo, nearest_exposure, sweep
-from training.tonemap.looks import Look, exact_target, look_from
+from training.tonemap.looks import Look, View, bake, exact_target, exact_view, look_from
 from training.tonemap.model import default_shaper, look_up, shape
 from training.tonemap.pairs import fit_cube
 from training.tonemap.pictures import find_pictures, shrink
-from training.tonemap.views import View, bake, exact_view
 
 # The report ---------------------------------------------------------------------------------------------------------
 # Measurements of looks as tables and pictures of docs/concepts/tonemap.md.

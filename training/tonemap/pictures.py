@@ -23,9 +23,8 @@ import torch.nn.functional as F
 
 from postfx.colour import LINEAR_SPACES, REC709, matrix_between
 from postfx.io.colours import InputColours
-from training.tonemap.looks import Look, describe, exact_target, find_look, look_from
+from training.tonemap.looks import Look, bake, describe, exact_target, find_look, look_from
 from training.tonemap.model import MID_GREY
-from training.tonemap.views import bake
 
 # Charts -------------------------------------------------------------------------------------------------------------
 # Charts of light that is rare in photographs, exposed scene-linear Rec.709 (H,W,3) float32.

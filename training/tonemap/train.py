@@ -35,7 +35,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from postfx.colour import LINEAR_SPACES
 from training.denoise.loss import psnr
 from training.tonemap.examples import SHIFT, Source, Views
-from training.tonemap.looks import Look, describe, find_look, key_stops
+from training.tonemap.looks import Look, Lut, Ocio, describe, find_look, key_stops
 from training.tonemap.model import (
     Exposure,
     HDRNet,
@@ -51,7 +51,6 @@ from training.tonemap.model import (
     weights_of,
 )
 from training.tonemap.pictures import Lesson, Pictures, collect, lesson, load
-from training.tonemap.views import Lut, Ocio
 
 if TYPE_CHECKING:
     from training.tonemap.pairs import Pairs  # needs SciPy

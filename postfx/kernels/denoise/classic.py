@@ -37,7 +37,7 @@ from postfx.kernels.denoise import (
     kernel,
 )
 from postfx.kernels.denoise.features import recall_row
-from postfx.kernels.denoise.reactive import kept_row
+from postfx.kernels.denoise.history import kept_row
 from postfx.kernels.denoise.upsample import gauss, pixel_of, place, weigh_picked, weigh_three
 from postfx.kernels.numeric import Real, add, clamp, compiled, demodulation, exp, expm1, fused, log_encode
 

@@ -29,8 +29,7 @@ from postfx.kernels.denoise import (
     WIDTH,
     kernel,
 )
-from postfx.kernels.denoise.prepare import columns_of, edge_pixel, steps, weigh
-from postfx.kernels.denoise.reactive import kept_row
+from postfx.kernels.denoise.history import columns_of, edge_pixel, kept_row, steps, weigh
 from postfx.kernels.denoise.upsample import (
     TAPS,
     between,

@@ -12,8 +12,6 @@ from postfx.kernels.denoise import (
     BORDER_CELLS,
     DISTRUST,
     EXPOSURE,
-    GAIN,
-    HEIGHT,
     HIDDEN,
     IMPORTANCE,
     LEFT,
@@ -27,26 +25,15 @@ from postfx.kernels.denoise import (
     REFLECTANCE,
     TOP,
     TRUST_CELL,
-    WIDTH,
     kernel,
 )
 from postfx.kernels.numeric import (
-    Four,
     Real,
-    add_four,
-    centre,
     clamp,
     compiled,
     demodulation,
-    expm1,
-    fused,
-    fused_inline,
     inline,
-    load_four,
-    log1p,
-    store_four,
     summed,
-    vectorised,
 )
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
@@ -239,182 +226,3 @@ ACCUMULATE = kernel("accumulate", ("colour", *REFLECTANCE, "means", "depth", "pa
 def means_size(rows: int, columns: int) -> tuple[int, int]:
     """Cells of mean reflectance, down and across, that a part of the frame needs wherever it begins."""
     return -(-rows // TRUST_CELL) + BORDER_CELLS, -(-columns // TRUST_CELL) + BORDER_CELLS
-
-
-STATE = 4 + HIDDEN
-
-
-@compiled
-def resize_rows(y0: int, y1: int, state: np.ndarray, last_depth: np.ndarray, at_rows: np.ndarray,
-                at_columns: np.ndarray, resized: np.ndarray, resized_depth: np.ndarray) -> None:
-    """Bilinear at ``at_rows`` (height,) and ``at_columns`` (width,), edge repeated; depth of the nearest pixel.
-
-    Pixels whose count is 0 are unknown and have no weight. Where they would have half of it, the result is unknown.
-    """
-    h, w = state.shape[:2]
-    share = np.empty(4, np.float32)
-    for y in range(y0, y1):
-        top = int(np.floor(at_rows[y]))
-        ty = at_rows[y] - np.float32(top)
-        upper, lower = min(max(top, 0), h - 1), min(max(top + 1, 0), h - 1)
-        near_y = min(max(int(np.rint(at_rows[y])), 0), h - 1)
-        for x in range(resized.shape[1]):
-            first = int(np.floor(at_columns[x]))
-            tx = at_columns[x] - np.float32(first)
-            left, right = min(max(first, 0), w - 1), min(max(first + 1, 0), w - 1)
-            resized_depth[y, x, 0] = last_depth[near_y, min(max(int(np.rint(at_columns[x])), 0), w - 1), 0]
-            a, b, c, d = state[upper, left], state[upper, right], state[lower, left], state[lower, right]
-            share[0] = (ONE - ty) * (ONE - tx) if a[3] > ZERO else ZERO
-            share[1] = (ONE - ty) * tx if b[3] > ZERO else ZERO
-            share[2] = ty * (ONE - tx) if c[3] > ZERO else ZERO
-            share[3] = ty * tx if d[3] > ZERO else ZERO
-            total = share[0] + share[1] + share[2] + share[3]
-            scale = ONE / total if total > HALF else ZERO
-            for k in range(STATE):
-                value = share[0] * a[k] + share[1] * b[k] + share[2] * c[k] + share[3] * d[k]
-                resized[y, x, k] = value * scale
-
-
-RESIZE = kernel("resize", ("state", "last_depth", "at_rows", "at_columns"), ("resized", "resized_depth"),
-                resize_rows, ("resized", 0), at_rows=("height",), at_columns=("width",),
-                resized=("height", "width", STATE), resized_depth=("height", "width", 1))
-
-
-@fused_inline
-def cubic(t: Real) -> tuple[Real, Real, Real, Real]:
-    """The four weights of cubic convolution with a = -0.75, the ONNX GridSample and OpenCV default."""
-    a = np.float32(-0.75)
-    u, v, s = t + ONE, ONE - t, np.float32(2) - t
-    return (((a * u - 5 * a) * u + 8 * a) * u - 4 * a, ((a + 2) * t - (a + 3)) * t * t + ONE,
-            ((a + 2) * v - (a + 3)) * v * v + ONE, ((a * s - 5 * a) * s + 8 * a) * s - 4 * a)
-
-
-@vectorised
-def steps(moved: np.ndarray, axis: int, scale: Real, shift: np.ndarray, weights: np.ndarray) -> None:
-    """Motion along a row in whole output pixels, and the weights (4, w) of the cubic taps for the rest of it.
-
-    All output pixels in a render pixel share them, for they share its motion.
-    """
-    for x in range(shift.size):
-        at = moved[x, axis] * scale
-        whole = np.floor(at)
-        shift[x] = np.int32(whole)
-        weights[0, x], weights[1, x], weights[2, x], weights[3, x] = cubic(at - whole)
-
-
-@fused_inline
-def weigh(a: Four, b: Four, c: Four, d: Four, u: Real, v: Real, w: Real, z: Real) -> Four:
-    """u a + v b + w c + z d."""
-    zero = np.float32(0)
-    return add_four(add_four(add_four(add_four((zero, zero, zero, zero), b, v), a, u), c, w), d, z)
-
-
-@fused_inline
-def down(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real, d3: Real) -> Four:
-    """Weighted sum of four pixels below one another in a flat picture, and of the number behind each; unsigned places
-    need no check for below 0."""
-    second, third = start + line, start + line + line
-    return weigh(load_four(flat, start), load_four(flat, second), load_four(flat, third),
-                 load_four(flat, third + line), d0, d1, d2, d3)
-
-
-@fused_inline
-def down_last(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real, d3: Real) -> Four:
-    """The same of pixels behind which there may be nothing."""
-    _, r, g, b = down(flat, start - np.uint64(1), line, d0, d1, d2, d3)
-    return r, g, b, b
-
-
-@fused_inline
-def columns_of(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real,
-               d3: Real) -> tuple[Four, Four, Four, Four]:
-    """Weighted sums down four columns of pixels, from a place on."""
-    step = np.uint64(3)
-    return (down(flat, start, line, d0, d1, d2, d3), down(flat, start + step, line, d0, d1, d2, d3),
-            down(flat, start + step + step, line, d0, d1, d2, d3),
-            down_last(flat, start + step + step + step, line, d0, d1, d2, d3))
-
-
-@fused
-def edge_pixel(left: int, top: int, history: np.ndarray, at: int, wx: np.ndarray, wy: np.ndarray,
-               pixel: np.ndarray) -> None:
-    """One pixel near the picture's edge, which is repeated."""
-    height, width = history.shape[:2]
-    pixel[:] = ZERO
-    for j in range(4):
-        for i in range(4):
-            weight = wy[j, at] * wx[i, at]
-            found = history[min(max(top + j, 0), height - 1), min(max(left + i, 0), width - 1)]
-            for c in range(3):
-                pixel[c] += weight * found[c]
-
-
-@fused
-def warp_row(y: int, columns: np.ndarray, history: np.ndarray, index: np.ndarray, shift_x: np.ndarray,
-             shift_y: np.ndarray, wx: np.ndarray, wy: np.ndarray, row: np.ndarray) -> None:
-    """Row ``y`` of the history moved, at ``columns``; ``index`` is the render pixel of each output pixel. ``row`` has
-    one more number than pixels have: they are written with the number behind each.
-
-    Two neighbours in one render pixel share their motion, and so three of their four columns of taps.
-    """
-    height, width = history.shape[:2]
-    flat = history.reshape(height * width * 3)
-    line, next_pixel = np.uint64(3 * width), np.uint64(3)
-    x = 0
-    while x < index.size:
-        at = index[x]
-        left, top = columns[x] + shift_x[at] - 1, y + shift_y[at] - 1
-        if not (0 <= left <= width - 4 and 0 <= top <= height - 4):
-            edge_pixel(left, top, history, at, wx, wy, row[3 * x:3 * x + 3])
-            x += 1
-            continue
-        w0, w1, w2, w3 = wx[0, at], wx[1, at], wx[2, at], wx[3, at]
-        d0, d1, d2, d3 = wy[0, at], wy[1, at], wy[2, at], wy[3, at]
-        start = np.uint64((top * width + left) * 3)
-        a, b, c, d = columns_of(flat, start, line, d0, d1, d2, d3)
-        store_four(row, np.uint64(3 * x), weigh(a, b, c, d, w0, w1, w2, w3))
-        x += 1
-        if x < index.size and index[x] == at and columns[x] == columns[x - 1] + 1 and left < width - 4:
-            e = down_last(flat, start + next_pixel * np.uint64(4), line, d0, d1, d2, d3)
-            store_four(row, np.uint64(3 * x), weigh(b, c, d, e, w0, w1, w2, w3))
-            x += 1
-
-
-@vectorised
-def rescale_row(row: np.ndarray, gain: Real) -> None:
-    """A row of log-encoded colour after an exposure change."""
-    for i in range(row.size):
-        row[i] = log1p(expm1(row[i]) * gain)
-
-
-@compiled
-def history_rows(y0: int, y1: int, history: np.ndarray, moved: np.ndarray, params: np.ndarray, window: np.ndarray,
-                 out_rows: np.ndarray, out_columns: np.ndarray, warped: np.ndarray) -> None:
-    """The last output where its pixels are now, bicubic, edge repeated; rescaled where the exposure changed."""
-    height, width = history.shape[:2]
-    h, w = int(window[HEIGHT]), int(window[WIDTH])
-    columns, count = out_columns.astype(np.int64), moved.shape[1]
-    index = np.empty(columns.size, np.int64)
-    for x in range(index.size):
-        at, _ = centre(columns[x], w, width)
-        index[x] = min(max(at - int(window[LEFT]), 0), count - 1)
-    shift_x, shift_y = np.empty(count, np.int32), np.empty(count, np.int32)
-    wx, wy = np.empty((4, count), np.float32), np.empty((4, count), np.float32)
-    line, last = np.empty(3 * index.size + 1, np.float32), -1
-    for out in range(y0, y1):
-        y = int(out_rows[out])
-        iy, _ = centre(y, h, height)
-        iy = min(max(iy - int(window[TOP]), 0), moved.shape[0] - 1)
-        if iy != last:
-            steps(moved[iy], 0, np.float32(width / w), shift_x, wx)
-            steps(moved[iy], 1, np.float32(height / h), shift_y, wy)
-            last = iy
-        row = warped[out].reshape(3 * index.size)
-        warp_row(y, columns, history, index, shift_x, shift_y, wx, wy, line)
-        np.maximum(line[:row.size], ZERO, row)
-        if params[GAIN] != ONE:
-            rescale_row(row, params[GAIN])
-
-
-HISTORY = kernel("history", ("history", "moved", "params", "window", "out_rows", "out_columns"), ("warped",),
-                 history_rows, ("warped", 0))

@@ -32,8 +32,8 @@ from postfx.kernels.denoise import (
     WIDTH,
     kernel,
 )
-from postfx.kernels.denoise.guides import place_of, trust_row
-from postfx.kernels.denoise.reactive import kept_row
+from postfx.kernels.denoise.features import place_of, trust_row
+from postfx.kernels.denoise.history import kept_row
 from postfx.kernels.numeric import (
     Real,
     add,

@@ -19,7 +19,6 @@ from postfx.kernels.denoise import GAIN
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
 from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain
 from postfx.passes.denoise.history import Cameras, History, PartHistory, can_follow
-from postfx.passes.denoise.inputs import ABSENT, passthrough_roles
 from postfx.passes.denoise.models import (
     CLASSIC,
     GUIDED,
@@ -36,6 +35,7 @@ from postfx.passes.denoise.models import (
 )
 from postfx.passes.denoise.options import Size, output_size, parse_reactive, validate_scale, validate_size
 from postfx.passes.denoise.parts import checked_parts
+from postfx.passes.denoise.planes import ABSENT, passthrough_roles
 from postfx.passes.denoise.tiling import Sizes, active_cells
 from postfx.runtime import CommandBuffer, Device, Library, Tensor
 

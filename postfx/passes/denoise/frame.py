@@ -13,17 +13,16 @@ import numpy as np
 from postfx.caching import LRUCache
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise import HIDDEN
+from postfx.kernels.denoise.history import SPREAD_MASK
 from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.kernels.denoise.prepare import SCALE
-from postfx.kernels.denoise.reactive import SPREAD_MASK
 from postfx.passes.denoise.history import History, PartHistory, Reflections, can_follow
-from postfx.passes.denoise.inputs import Passthrough, Planes, Reactive
 from postfx.passes.denoise.layers import Layer, LayerGraph
 from postfx.passes.denoise.models import CLASSIC, grid_of
 from postfx.passes.denoise.network import ClassicGraph
 from postfx.passes.denoise.options import ReactiveOption, Size
-from postfx.passes.denoise.output import Plain, Restore, Strength
 from postfx.passes.denoise.parts import Layers
+from postfx.passes.denoise.planes import Passthrough, Plain, Planes, Reactive, Restore, Strength
 from postfx.passes.denoise.tiling import (
     GAIN,
     Band,

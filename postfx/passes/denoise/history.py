@@ -13,8 +13,7 @@ import numpy as np
 from postfx.caching import LRUCache
 from postfx.frame import DEPTH_MISS, FrameSpec, Part, Role, pixel_aspect
 from postfx.kernels.denoise import HIDDEN
-from postfx.kernels.denoise.prepare import RESIZE
-from postfx.kernels.denoise.reflections import CAMERA, REFLECTIONS
+from postfx.kernels.denoise.history import CAMERA, REFLECTIONS, RESIZE
 from postfx.kernels.image import RESAMPLE, positions
 from postfx.passes import MOST_SIZES, ResidentFrame
 from postfx.passes.denoise.options import Size

@@ -13,8 +13,8 @@ import numpy as np
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import FEATURES, FINE, GUIDES, TRUST_CELL
 from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
-from postfx.kernels.denoise.features import FEATURE
-from postfx.kernels.denoise.guides import GUIDE, TRUST
+from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
+from postfx.kernels.denoise.history import HISTORY, KEEP
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,
@@ -28,9 +28,8 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
     opened_shape,
 )
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, HISTORY, MEANS, means_size
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, means_size
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
-from postfx.kernels.denoise.reactive import KEEP
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.tiling import LEVELS, Window

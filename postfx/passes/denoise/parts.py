@@ -14,10 +14,9 @@ from postfx.kernels.denoise.output import CORRECT
 from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.history import FACTOR, WHOLE, PartHistory, alone, make_zeros, one_of, places_of, some_of
-from postfx.passes.denoise.inputs import ABSENT, Resampler, absent_plane
 from postfx.passes.denoise.layers import Layer
 from postfx.passes.denoise.options import Size
-from postfx.passes.denoise.output import Restore, Strength
+from postfx.passes.denoise.planes import ABSENT, Resampler, Restore, Strength, absent_plane
 from postfx.passes.denoise.tiling import Rows
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 

@@ -15,6 +15,7 @@ from training.datagen.clip import ClipOptions, Style, draw_spp, filter_table, gu
 from training.datagen.clip_file import guide_depth, half_depth, load_clip, save_clip  # noqa: E402
 from training.datagen.scenes import meshes  # noqa: E402
 from training.datagen.scenes.build import BuiltScene, Description  # noqa: E402
+from training.datagen.scenes.convert import RealScenes  # noqa: E402
 from training.datagen.scenes.lights import Environments  # noqa: E402
 from training.datagen.scenes.materials import Material  # noqa: E402
 from training.datagen.scenes.motion import (  # noqa: E402
@@ -24,7 +25,6 @@ from training.datagen.scenes.motion import (  # noqa: E402
     object_path,
     translation,
 )
-from training.datagen.scenes.real import RealScenes  # noqa: E402
 from training.datagen.tracing import Tracer  # noqa: E402
 
 SIZE = (48, 32)

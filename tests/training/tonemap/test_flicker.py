@@ -21,8 +21,11 @@ from training.tonemap.evaluate import (  # noqa: E402
     measure_lag,
     steadiness,
 )
-from training.tonemap.looks import LOOKS  # noqa: E402
-from training.tonemap.views import ACES2, exact_view  # noqa: E402
+from training.tonemap.looks import (  # noqa: E402
+    ACES2,
+    LOOKS,  # noqa: E402
+    exact_view,
+)
 
 MOST = {"local": 0.98, "auto": 1.0}
 """Of the static curve's flicker."""

@@ -10,9 +10,23 @@ pytest.importorskip("PyOpenColorIO")
 
 from postfx.colour.displays import srgb_encode  # noqa: E402
 from postfx.colour.views import neutral  # noqa: E402
-from training.tonemap.looks import LOOKS, describe, exact_target, find_look, key, log_luminance, look_from, target  # noqa: E402
+from training.tonemap.looks import (  # noqa: E402  # noqa: E402
+    ACES2,
+    LOOKS,
+    NEUTRAL,
+    Lut,
+    Ocio,
+    bake,
+    describe,
+    exact_target,
+    exact_view,
+    find_look,
+    key,
+    log_luminance,
+    look_from,
+    target,
+)
 from training.tonemap.pictures import Pictures, collect, lesson, load, save  # noqa: E402
-from training.tonemap.views import ACES2, NEUTRAL, Lut, Ocio, bake, exact_view  # noqa: E402
 
 
 def colours(count: int = 1000) -> np.ndarray:

@@ -12,8 +12,8 @@ pytest.importorskip("torch")
 pytest.importorskip("PyOpenColorIO")
 
 from postfx.colour import ACESCG, REC709, matrix_between  # noqa: E402
+from training.tonemap.looks import ACES_CONFIG, Lut, Ocio, exact_view  # noqa: E402
 from training.tonemap.pictures import collect, expose, find_pictures, read  # noqa: E402
-from training.tonemap.views import ACES_CONFIG, Lut, Ocio, exact_view  # noqa: E402
 
 IDENTITY = "LUT_3D_SIZE 2\n" + "".join(f"{r} {g} {b}\n" for b in (0, 1) for g in (0, 1) for r in (0, 1))
 

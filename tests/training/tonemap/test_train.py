@@ -18,12 +18,11 @@ from postfx.frame import Frame, Role  # noqa: E402
 from postfx.passes.tonemap import ToneMap  # noqa: E402
 from postfx.pipeline import Pipeline  # noqa: E402
 from postfx.runtime import Device  # noqa: E402
-from training.tonemap.looks import Local, Look, exact_target  # noqa: E402
+from training.tonemap.looks import ACES2, Local, Look, exact_target, exact_view  # noqa: E402  # noqa: E402
 from training.tonemap.model import CUBE, HDRNet, default_shaper, look_up, shape  # noqa: E402
 from training.tonemap.pairs import fit_cube, interpolation  # noqa: E402
 from training.tonemap.pictures import expose, find_pictures  # noqa: E402
 from training.tonemap.train import Recipe, parse, recipe_of  # noqa: E402
-from training.tonemap.views import ACES2, exact_view  # noqa: E402
 
 LEAST = 35.0  # dB that a look of a table must be learnt to from 8 pairs
 

@@ -1,16 +1,20 @@
-"""Parts shared by procedural scenes: a draft with its views, a pool of materials, placed and moving things."""
+"""Drafts of scenes: the parts that procedural scenes share, such as a pool of materials, placed and moving things; and
+the choice of a view that shows something, of its brightness and of the camera's speed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import mitsuba as mi
 import numpy as np
 
 from training.datagen.scenes import foliage, furniture, lights, meshes, textures
-from training.datagen.scenes.build import Description
+from training.datagen.scenes.build import BuiltScene, Description
 from training.datagen.scenes.materials import Material, polished_metal, random_material
-from training.datagen.scenes.motion import object_path, random_bend
+from training.datagen.scenes.motion import Camera, CameraPath, object_path, random_bend, target_speed
+from training.datagen.tracing import MISS_DEPTH, Film, Tracer
 
 View = tuple[np.ndarray, np.ndarray]
 
@@ -105,3 +109,116 @@ def surface(rng: np.random.Generator, gloss: float) -> Material:
     if rng.random() < gloss:
         return Material("roughplastic", albedo, float(rng.uniform(0.2, 0.6) ** 2))
     return Material("diffuse", albedo)
+
+
+# The choice of a view.
+
+GRID, PROBE_SPP = 24, 16
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A coarse look: mean luminance and its variance a sample, depth, albedo, normal and hit points (G*G, ...)."""
+
+    luminance: np.ndarray
+    variance: np.ndarray
+    depth: np.ndarray
+    albedo: np.ndarray
+    normal: np.ndarray
+    points: np.ndarray
+
+    @property
+    def hits(self) -> np.ndarray:
+        return self.depth < MISS_DEPTH / 2
+
+    def problem(self, near: float) -> str | None:
+        """Why the view is unusable, or None."""
+        if self.hits.mean() < 0.4:
+            return "mostly sky"
+        if np.percentile(self.depth, 4) < near:
+            return "too near a surface"
+        mean = self.luminance.mean()
+        if not np.isfinite(mean) or mean <= 1e-9:
+            return "black"
+        if (self.luminance < 0.003 * mean).mean() > 0.5:
+            return "mostly black"
+        return "nothing to see" if self.edges() < 0.08 else None
+
+    def edges(self) -> float:
+        """Part of the grid's neighbours that differ by 15 % in depth or by 37 degrees in normal."""
+        depth, normal = self.depth.reshape(GRID, GRID), self.normal.reshape(GRID, GRID, 3)
+        total = 0.0
+        for axis in (0, 1):
+            near, far = (np.take(depth, range(k, GRID - 1 + k), axis) for k in (0, 1))
+            bend = (np.take(normal, range(GRID - 1), axis) * np.take(normal, range(1, GRID), axis)).sum(-1)
+            bent = (bend < 0.8) & (near < MISS_DEPTH / 2)
+            total += np.mean((np.abs(near - far) > 0.15 * np.minimum(near, far)) | bent)
+        return float(total / 2)
+
+    def level(self) -> float:
+        """Geometric mean of the luminance, raised to a thousandth of its mean at least; without a black background."""
+        seen = self.luminance[self.hits | (self.luminance > 0)]
+        return float(np.exp(np.log(np.maximum(seen, 1e-3 * seen.mean() + 1e-12)).mean()))
+
+    def gain(self, rng: np.random.Generator) -> float:
+        """Factor that brings `level` to a random one: median 0.2, mostly 0.07 to 0.6."""
+        return float(0.2 * np.exp(rng.normal(0, 0.6)) / self.level())
+
+    def samples_for(self, error: float, gain: float) -> float:
+        """Samples a pixel for a root mean square error of `error` after the gain and x/(1+x), 0..1.
+
+        Variance is carried through the curve by its slope, gain / (1 + gain x)^2.
+        """
+        slope = gain / (1 + gain * self.luminance) ** 2
+        return float(np.minimum(self.variance * slope**2, 4.0).mean() / error**2)
+
+
+def probe(tracer: Tracer, built: BuiltScene, camera: Camera, seed: int) -> Probe:
+    centres = (np.arange(GRID) + 0.5) / GRID
+    u, v = (g.ravel().astype(np.float32) for g in np.meshgrid(centres, centres))
+    planes = tracer.planes(built, camera, camera, (GRID, GRID), Film(mi.Float(u), mi.Float(v)))
+    film = Film(mi.Float(np.repeat(u, PROBE_SPP)), mi.Float(np.repeat(v, PROBE_SPP)))
+    colour = tracer.radiance(built.scene, camera, 1.0, film, seed).numpy().T
+    samples = (colour @ LUMINANCE).reshape(-1, PROBE_SPP)
+    tangent = np.tan(np.radians(camera.fov) / 2)
+    local = np.stack([(1 - 2 * u) * tangent, (1 - 2 * v) * tangent, np.ones_like(u)], 1) * planes["depth"][:, None]
+    points = local @ camera.to_world[:3, :3].T + camera.to_world[:3, 3]
+    albedo = planes["diffuse_albedo"] + planes["specular_albedo"]
+    return Probe(samples.mean(1), samples.var(1, ddof=1), planes["depth"], albedo, planes["normal"], points)
+
+
+def image_speed(path: CameraPath, points: np.ndarray, width: int) -> float:
+    """Median motion of world points on a square image of `width` pixels, pixels a frame, over three steps."""
+    steps = []
+    for frame in (1, 3, 5):
+        now, later = (path.at(frame + k).project(points, width, width) for k in (0, 1))
+        steps.append(np.nanmedian(np.linalg.norm(later - now, axis=1)))
+    return float(np.nanmean(steps))
+
+
+def choose_path(tracer: Tracer, built: BuiltScene, view: Callable, rng: np.random.Generator, width: int,
+                near: float = 0.3, attempts: int = 8) -> tuple[CameraPath, float, Probe] | None:
+    """A camera path, the gain for its frames and a probe from it, or None if no drawn view is usable."""
+    for _ in range(attempts):
+        eye, target = view(rng)
+        movers = built.description.movers
+        if movers and rng.random() < 0.6:
+            target = movers[int(rng.integers(len(movers)))](3.5)[:3, 3]
+        fov = float(rng.uniform(35, 80))
+        kind, direction = str(rng.choice(CameraPath.KINDS)), rng.uniform(-1, 1, 3)
+        path = CameraPath(eye, target, fov, kind, 0.0, direction, int(rng.integers(1 << 30)))
+        if np.linalg.norm((target - eye)[[0, 2]]) < 0.3:
+            continue
+        look = probe(tracer, built, path.at(0), int(rng.integers(1 << 31)))
+        if look.problem(near):
+            continue
+        if rng.random() < 0.15:
+            return path, look.gain(rng), look
+        speed = image_speed(replace(path, amplitude=1.0), look.points[look.hits], width)
+        moving = replace(path, amplitude=float(np.clip(target_speed(rng) / max(speed, 1e-3), 0.01, 25.0)))
+        ends = [probe(tracer, built, moving.at(frame), int(rng.integers(1 << 31))) for frame in (0, 7)]
+        steady = all(0.1 < end.level() / look.level() < 10 for end in ends)
+        if steady and not any(end.problem(0.5 * near) for end in ends):
+            return moving, look.gain(rng), look
+    return None

@@ -7,7 +7,8 @@ import pytest
 
 from postfx import sampling
 from postfx.frame import Role
-from postfx.masks import StrengthError, Threshold, converged, parse_leave, parse_threshold, strength_of_converged
+from postfx.masks import StrengthError, Threshold, parse_leave, parse_threshold, strength_of_converged
+from postfx.masks.noise import converged_in_bands
 
 SIZE = 40, 60
 ONE_PERCENT = Threshold(error=0.01)
@@ -124,7 +125,7 @@ def test_bands_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     planes, calls = told(Role.SAMPLE_VARIANCE, planes, variance, 64), []
     wanted = strength_of_converged(planes, ONE_PERCENT, 64)
     monkeypatch.setattr(sampling, "BAND", 16)
-    found = list(converged.strength_in_bands(planes, ONE_PERCENT, 64, lambda: calls.append(1)))
+    found = list(converged_in_bands(planes, ONE_PERCENT, 64, lambda: calls.append(1)))
     np.testing.assert_array_equal(np.concatenate([strength for _, strength in found]), wanted)
     assert len(found) == len(calls) == 3
 

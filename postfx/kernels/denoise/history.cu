@@ -1,6 +1,71 @@
+// What a frame leaves, at another render size: state (h, w, 12), last_depth (h, w, 1), at_rows (height,),
+// at_columns (width,) -> resized (height, width, 12), resized_depth (height, width, 1). Bilinear between pixels that hold
+// something, depth of the nearest.
+
+// Four channels, weighted.
+__device__ inline Four weighted_four(const View& state, const size_t (&from)[4], const float (&share)[4], int group,
+                                     float scale) {
+    Four sum = {0.0f, 0.0f, 0.0f, 0.0f};
+    for (int i = 0; i < 4; i++) {
+        const Four value = four(state, 3 * from[i] + group);
+        sum.x += share[i] * value.x;
+        sum.y += share[i] * value.y;
+        sum.z += share[i] * value.z;
+        sum.w += share[i] * value.w;
+    }
+    return {sum.x * scale, sum.y * scale, sum.z * scale, sum.w * scale};
+}
+
+extern "C" __global__ void denoise_resize(View state, View last_depth, View at_rows, View at_columns, View resized,
+                                          View resized_depth) {
+    PIXEL(resized.size[1], resized.size[0]);
+    const int h = state.size[0], w = state.size[1];
+    const float row = at_rows.at[y], column = at_columns.at[x], ty = row - floorf(row), tx = column - floorf(column);
+    const int top = int(floorf(row)), first = int(floorf(column));
+    const size_t upper = size_t(within(top, h)) * w, lower = size_t(within(top + 1, h)) * w;
+    const int left = within(first, w), right = within(first + 1, w);
+    const size_t from[4] = {upper + left, upper + right, lower + left, lower + right};
+    float share[4] = {(1.0f - ty) * (1.0f - tx), (1.0f - ty) * tx, ty * (1.0f - tx), ty * tx}, total = 0.0f;
+    for (int i = 0; i < 4; i++) {
+        if (!(four(state, 3 * from[i]).w > 0.0f)) share[i] = 0.0f;
+        total += share[i];
+    }
+    const float scale = total > 0.5f ? 1.0f / total : 0.0f;
+    const size_t pixel = size_t(y) * resized.size[1] + x;
+    const float depth = last_depth.at[size_t(within(int(rintf(row)), h)) * w + within(int(rintf(column)), w)];
+    const Four mean = weighted_four(state, from, share, 0, scale);
+    const Four one = weighted_four(state, from, share, 1, scale);
+    const Four other = weighted_four(state, from, share, 2, scale);
+    resized_depth.at[pixel] = depth;
+    four(resized, 3 * pixel) = mean;
+    four(resized, 3 * pixel + 1) = one;
+    four(resized, 3 * pixel + 2) = other;
+}
+
+// The last output where its pixels are now, bicubic, edge repeated, rescaled where the exposure changed:
+// history (height, width, 3), moved (th, tw, 2), params (4,), window (8,), out_rows (out_th,), out_columns (out_tw,)
+// -> warped (out_th, out_tw, 3), log(1 + exposed).
+
+// Log-encoded colour, not below 0, after an exposure change.
+__device__ inline float rescaled(float encoded, float gain) {
+    const float held = fmaxf(encoded, 0.0f);
+    return gain == 1.0f ? held : log1pf(expm1f(held) * gain);
+}
+
+extern "C" __global__ void denoise_history(View history, View moved, View params, View window, View out_rows,
+                                           View out_columns, View warped) {
+    PIXEL(warped.size[1], warped.size[0]);
+    const Colour sum = moved_picture(history.at, int(out_rows.at[y]), int(out_columns.at[x]), window_of(window), moved);
+    const float gain = params.at[GAIN];
+    float* to = warped.at + 3 * (size_t(y) * warped.size[1] + x);
+    to[0] = rescaled(sum.r, gain);
+    to[1] = rescaled(sum.g, gain);
+    to[2] = rescaled(sum.b, gain);
+}
+
 // Motion, of smooth surfaces that of what they reflect: motion (h, w, 2), depth (h, w, 1), normal (h, w, 3),
 // roughness (h, w, 1), diffuse_albedo and specular_albedo (h, w, 3), hit_distance (h, w, 1), camera (27,) ->
-// reflected (h, w, 2). Sources are given in postfx/kernels/denoise/reflections.py.
+// reflected (h, w, 2). Sources are given in postfx/kernels/denoise/history.py.
 
 enum { FOCAL = 0, FOCAL_THEN = 2, SHIFTED = 4, TURN = 6, SHIFT = 15, WORLD = 18 };
 
@@ -119,4 +184,52 @@ extern "C" __global__ void denoise_reflections(View motion, View depth, View nor
     const float stretched = inverse * sqrtf(ray.x * ray.x + ray.y * ray.y + 1.0f);
     const Vector moved = motion_at(camera.at, ray, stretched / (1.0f + stretched * z));
     if (moved.z > 1e-3f) pair(reflected, pixel) = {moved.x, moved.y};
+}
+
+// The mask of what is in front of opaque things: colour, opaque_colour (h, w, 3), difference (3,), which is exposure,
+// scale and threshold -> reactive (h, w, 1).
+
+// Exposed light as a display shows it, 0 to 1.
+__device__ inline float seen(float value, float exposure) {
+    const float light = fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure, MAX_COLOUR);
+    return sqrtf(light / (1.0f + light));
+}
+
+extern "C" __global__ void denoise_reactive(View colour, View opaque_colour, View difference, View reactive) {
+    const int width = reactive.size[1];
+    PIXEL(width, reactive.size[0]);
+    const int here = y * width + x;
+    const float exposure = difference.at[0], scale = difference.at[1], threshold = difference.at[2];
+    float most = 0.0f;
+    for (int c = 0; c < 3; c++)
+        most = fmaxf(most, fabsf(seen(colour.at[3 * here + c], exposure)
+                                 - seen(opaque_colour.at[3 * here + c], exposure)));
+    reactive.at[here] = most >= threshold ? fminf(most * scale, 1.0f) : 0.0f;
+}
+
+// The largest value in 3x3, within 0 and 1: reactive (h, w, 1) -> next_reactive (h, w, 1).
+extern "C" __global__ void denoise_spread(View reactive, View next_reactive) {
+    const int height = reactive.size[0], width = reactive.size[1];
+    PIXEL(width, height);
+    float most = 0.0f;
+#pragma unroll
+    for (int j = -1; j <= 1; j++) {
+#pragma unroll
+        for (int i = -1; i <= 1; i++)
+            most = fmaxf(most, clamped(reactive.at[within(y + j, height) * width + within(x + i, width)], 0.0f, 1.0f));
+    }
+    next_reactive.at[y * width + x] = most;
+}
+
+// How much of the history each pixel of a part uses: reactive and last_reactive (h, w, 1), moved (th, tw, 2),
+// part_rows (th,), part_columns (tw,) -> keep (th, tw, 1).
+extern "C" __global__ void denoise_keep(View reactive, View last_reactive, View moved, View part_rows,
+                                        View part_columns, View keep) {
+    const int width = keep.size[1], h = reactive.size[0], w = reactive.size[1];
+    PIXEL(width, keep.size[0]);
+    const float v = part_rows.at[y], u = part_columns.at[x];
+    const Pair motion = pair(moved, size_t(y) * width + x);
+    const int from = within(int(rintf(v + motion.y)), h) * w + within(int(rintf(u + motion.x)), w);
+    const float now = clamped(reactive.at[int(v) * w + int(u)], 0.0f, 1.0f);
+    keep.at[y * width + x] = 1.0f - fmaxf(now, last_reactive.at[from]);
 }

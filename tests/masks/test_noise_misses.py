@@ -7,7 +7,8 @@ import pytest
 
 from postfx import sampling
 from postfx.frame import DEPTH_MISS, Role
-from postfx.masks import misses, misses_of, strength_of_misses
+from postfx.masks import misses_of, strength_of_misses
+from postfx.masks.noise import misses_in_bands
 
 SIZE = 150, 200
 HORIZON = 90
@@ -135,7 +136,7 @@ def test_bands_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     planes, calls = noisy_sky(0.008), []
     wanted = strength_of_misses(planes)
     monkeypatch.setattr(sampling, "BAND", 16)
-    found = list(misses.strength_in_bands(planes, lambda: calls.append(1)))
+    found = list(misses_in_bands(planes, lambda: calls.append(1)))
     np.testing.assert_array_equal(np.concatenate([strength for _, strength, _ in found]), wanted)
     assert [rows.start for rows, _, _ in found] == list(range(0, 150, 16)) and len(calls) == 20
     assert sum(count for _, _, count in found) == misses_of(planes).sum() and 0 < wanted[:60].mean() < 1

@@ -1,0 +1,345 @@
+"""Vector instructions for kernels whose loops Numba's compiler does not turn into them: functions of vectors, for loops
+that jump from place to place, and products of small matrices.
+
+    @in_lanes(8)
+    def sum_of_differences(v, one, other, at):      # two flat float32 arrays, an index
+        return (v.load(one, at) - v.load(other, at)).magnitude().total()
+
+is a function that kernels call. Its body runs once, when the kernel is compiled, and writes LLVM's instructions. Its
+arguments are arrays, integers and float32 numbers, as the call has them; it returns a number or a tuple of them. No
+bounds are checked.
+
+`combine` and `correlate` keep a block of sums in registers while they read along the factors of a product. Their arrays
+are flat and float32; places and steps count their elements. Sums have one fixed order, so equal inputs give equal bits.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from llvmlite import binding, ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from postfx.kernels.numeric import compiled
+
+FLOAT, INDEX = ir.FloatType(), ir.IntType(64)
+_FLAGS = ("contract",)
+
+
+class Vector:
+    """Numbers that instructions treat together. Operators take vectors and single numbers."""
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder, self.value = builder, value
+
+    def __add__(self, other: Any) -> Vector:
+        return Vector(self.builder, self.builder.fadd(self.value, self._same(other), flags=_FLAGS))
+
+    def __sub__(self, other: Any) -> Vector:
+        return Vector(self.builder, self.builder.fsub(self.value, self._same(other), flags=_FLAGS))
+
+    def __mul__(self, other: Any) -> Vector:
+        return Vector(self.builder, self.builder.fmul(self.value, self._same(other), flags=_FLAGS))
+
+    def to(self, other: Vector, share: Any) -> Vector:
+        """This vector where the share is 0, the other one where it is 1."""
+        found: Vector = self + (other - self) * share
+        return found
+
+    def magnitude(self) -> Vector:
+        """Without signs."""
+        name, kind = f"llvm.fabs.v{self.value.type.count}f32", self.value.type
+        function = self.builder.module.declare_intrinsic(name, (), ir.FunctionType(kind, [kind]))
+        return Vector(self.builder, self.builder.call(function, [self.value]))
+
+    def least(self, other: Vector) -> Vector:
+        """The smaller of both, number by number."""
+        smaller = self.builder.fcmp_ordered("<", self.value, other.value)
+        return Vector(self.builder, self.builder.select(smaller, self.value, other.value))
+
+    def largest(self, other: Vector) -> Vector:
+        """The larger of both, number by number."""
+        larger = self.builder.fcmp_ordered(">", self.value, other.value)
+        return Vector(self.builder, self.builder.select(larger, self.value, other.value))
+
+    def part(self, first: int, count: int) -> Vector:
+        """Some of the numbers, from one on."""
+        return Vector(self.builder, self.builder.shuffle_vector(self.value, self.value, _places(first, count)))
+
+    def number(self, at: int) -> Any:
+        """One number of it, as a result."""
+        return self.builder.extract_element(self.value, ir.Constant(ir.IntType(32), at))
+
+    def spread(self, at: int, count: int) -> Vector:
+        """One number of it, this many times."""
+        places = ir.Constant(ir.VectorType(ir.IntType(32), count), [at] * count)
+        return Vector(self.builder, self.builder.shuffle_vector(self.value, self.value, places))
+
+    def total(self) -> Any:
+        """The sum, as a result; the count of numbers is a power of two."""
+        found, count = self, self.value.type.count
+        while count > 1:
+            count //= 2
+            found = found.part(0, count) + found.part(count, count)
+        return found.number(0)
+
+    def _same(self, other: Any) -> Any:
+        if isinstance(other, Vector):
+            return other.value
+        count = self.value.type.count
+        if isinstance(other, float | Sequence):
+            numbers = [other] * count if isinstance(other, float) else other
+            return ir.Constant(self.value.type, [ir.Constant(FLOAT, float(number)) for number in numbers])
+        return _repeat(self.builder, other, count)
+
+
+class Lanes:
+    """What the body of a function of vectors is written with; its arguments are LLVM's values."""
+
+    def __init__(self, count: int, context: Any, builder: Any, arrays: dict[int, Any]) -> None:
+        self.count, self.context, self.builder, self.arrays = count, context, builder, arrays
+
+    def load(self, array: Any, at: Any) -> Vector:
+        """Numbers of an array from an index on."""
+        data = _data(self.context, self.builder, self.arrays[id(array)], array)
+        place = self.builder.bitcast(self.builder.gep(data, [at]), ir.VectorType(FLOAT, self.count).as_pointer())
+        return Vector(self.builder, self.builder.load(place, align=4))
+
+    def constant(self, numbers: Sequence[float]) -> Vector:
+        """Numbers that are known, as many as there are."""
+        kind = ir.VectorType(FLOAT, len(numbers))
+        return Vector(self.builder, ir.Constant(kind, [ir.Constant(FLOAT, float(number)) for number in numbers]))
+
+    def step(self, at: Any, stride: Any, times: int = 1) -> Any:
+        """An index, moved on by a multiple of a stride, which may be an int."""
+        by = ir.Constant(INDEX, stride * times) if isinstance(stride, int) else \
+            self.builder.mul(stride, ir.Constant(INDEX, times))
+        return self.builder.add(at, by)
+
+    def between(self, array: Any, at: Any, across: Any) -> Vector:
+        """Numbers of an array from between two indices on."""
+        return self.load(array, at).to(self.load(array, self.step(at, 1)), across)
+
+    def rows(self, array: Any, at: Any, stride: Any, across: Any, down: Any, count: int) -> list[Vector]:
+        """Rows of a picture from a place between four pixels on."""
+        lines = [self.between(array, self.step(at, stride, row), across) for row in range(count + 1)]
+        return [upper.to(lower, down) for upper, lower in zip(lines, lines[1:], strict=False)]
+
+    def sum(self, vectors: Sequence[Vector]) -> Vector:
+        """Sum of vectors, number by number."""
+        return reduce(Vector.__add__, vectors)
+
+
+def in_lanes(count: int, results: int = 1) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator of a function of vectors of this many numbers, which gives one result or a tuple of several."""
+    made_with = tuple(one for kind in (Vector, Lanes) for one in vars(kind).values() if callable(one))
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        def call(typingctx: Any, *arguments: Any) -> Any:
+            assert made_with, "is part of what compiled code is cached by"
+            kinds = [kind if isinstance(kind, types.Array) else types.int64 if isinstance(kind, types.Integer)
+                     else types.float32 for kind in arguments]
+            numbers: Any = types.UniTuple
+            result = types.float32 if results == 1 else numbers(types.float32, results)
+
+            def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+                arrays = {id(value): kind for value, kind in zip(values, signature.args, strict=True)}
+                found = function(Lanes(count, context, builder, arrays), *values)
+                return context.make_tuple(builder, result, found) if isinstance(found, tuple) else found
+
+            return result(*kinds), generate
+
+        call.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]  # Numba takes no *arguments
+        return intrinsic(call)
+
+    return decorate
+
+
+def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+    return context.make_array(kind)(context, builder, array).data
+
+
+def _repeat(builder: Any, number: Any, count: int) -> Any:
+    """A vector of one number."""
+    undefined, places = ir.Constant(ir.VectorType(FLOAT, count), ir.Undefined), ir.VectorType(ir.IntType(32), count)
+    first = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(first, undefined, ir.Constant(places, [0] * count))
+
+
+def _places(first: int, count: int) -> Any:
+    return ir.Constant(ir.VectorType(ir.IntType(32), count), list(range(first, first + count)))
+
+
+# Products of small matrices.
+
+LANES = 16 if binding.get_host_cpu_features().get("avx512f") else 8
+"""Numbers of a vector instruction."""
+STRIP = 2 * LANES
+"""Columns of all matrices but the weights: rows of two vectors lie one after the other."""
+ROWS = LANES // 2
+"""Rows of a block of `combine`: with two vectors a row they fill half of the registers."""
+DOWN, ACROSS = 4, LANES // 4
+"""Rows and columns of a block of `correlate`: as many sums as a vector has numbers."""
+VECTOR = ir.VectorType(FLOAT, LANES)
+INT = types.int64
+
+
+@compiled
+def combine(
+    weights: np.ndarray, first: int, row_step: int, step: int, source: np.ndarray, source_at: int, count: int,
+    target: np.ndarray, target_at: int, rows: int,
+) -> None:
+    """target[j, p] += sum over i < count of weights[first + j row_step + i step] * source[i, p], for all j < rows.
+
+    Args:
+        source, target: rows of `STRIP` numbers from `source_at` and `target_at` on.
+    """
+    j = 0
+    while j + ROWS <= rows:
+        _block(weights, first + j * row_step, row_step, step, source, source_at, count, target,
+               target_at + j * STRIP)
+        j += ROWS
+    while j < rows:
+        _row(weights, first + j * row_step, row_step, step, source, source_at, count, target,
+             target_at + j * STRIP)
+        j += 1
+
+
+@compiled
+def count_blocks(rows: int, columns: int) -> int:
+    """Blocks of `correlate` that cover a matrix."""
+    return -(-rows // DOWN) * -(-columns // ACROSS)
+
+
+@compiled
+def correlate(
+    left: np.ndarray, rows: int, right: np.ndarray, columns: int, strips: int, blocks: np.ndarray, first: int,
+) -> None:
+    """Add to blocks of a matrix the sums over s and p of left[s, j, p] * right[s, i, p], for j < rows, i < columns.
+
+    Args:
+        left, right: strips one after the other, of `rows` and of `columns` rows of `STRIP` numbers.
+        blocks: of `LANES` numbers each, from block `first` on; `open_blocks` reads them.
+    """
+    at = first * LANES
+    for j in range(0, rows, DOWN):
+        for i in range(0, columns, ACROSS):
+            _correlate(left, j, rows, right, i, columns, strips, blocks, at)  # type: ignore[call-arg]
+            at += LANES
+
+
+@compiled
+def open_blocks(blocks: np.ndarray, first: int, rows: int, columns: int, target: np.ndarray) -> None:
+    """The matrix (rows, columns), flat, whose blocks `correlate` has summed."""
+    at = first * LANES
+    for j in range(0, rows, DOWN):
+        for i in range(0, columns, ACROSS):
+            for v in range(min(DOWN, rows - j)):
+                for u in range(min(ACROSS, columns - i)):
+                    target[(j + v) * columns + i + u] = blocks[at + ACROSS * v + u]
+            at += LANES
+
+
+def _load(builder: Any, data: Any, at: Any) -> Any:
+    return builder.load(builder.bitcast(builder.gep(data, [at]), VECTOR.as_pointer()), align=4)
+
+
+def _store(builder: Any, vector: Any, data: Any, at: Any) -> None:
+    builder.store(vector, builder.bitcast(builder.gep(data, [at]), VECTOR.as_pointer()), align=4)
+
+
+def _variable(builder: Any, value: Any) -> Any:
+    """A place of the stack, which becomes a register."""
+    return cgutils.alloca_once_value(builder, value)  # type: ignore[no-untyped-call]
+
+
+def _multiply_add(builder: Any, a: Any, b: Any, c: Any) -> Any:
+    name = f"llvm.fma.v{LANES}f32"
+    function = builder.module.globals.get(name) or ir.Function(
+        builder.module, ir.FunctionType(VECTOR, [VECTOR] * 3), name)
+    return builder.call(function, [a, b, c])
+
+
+def _combining(rows: int) -> Callable[..., Any]:
+    """The product of `rows` rows of weights and two vectors of every source row, added to the target."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        weights, first, row_step, step, source, source_at, count, target, target_at = arguments
+        kinds = signature.args
+        weights, source, target = (_data(context, builder, kinds[k], value)
+                                   for k, value in ((0, weights), (4, source), (7, target)))
+        places = [builder.add(target_at, INDEX(j * STRIP + v)) for j in range(rows) for v in (0, LANES)]
+        totals = [_variable(builder, _load(builder, target, place)) for place in places]
+        with cgutils.for_range(builder, count) as loop:
+            here = builder.add(source_at, builder.mul(loop.index, INDEX(STRIP)))
+            values = [_load(builder, source, builder.add(here, INDEX(v))) for v in (0, LANES)]
+            start = builder.add(first, builder.mul(loop.index, step))
+            for j in range(rows):
+                weight = builder.load(builder.gep(weights, [builder.add(start, builder.mul(INDEX(j), row_step))]))
+                spread = _repeat(builder, weight, LANES)
+                for v in range(2):
+                    total = totals[2 * j + v]
+                    builder.store(_multiply_add(builder, spread, values[v], builder.load(total)), total)
+        for total, place in zip(totals, places, strict=True):
+            _store(builder, builder.load(total), target, place)
+        return context.get_dummy_value()
+
+    def typed(typingctx: Any, weights: Any, first: Any, row_step: Any, step: Any, source: Any, source_at: Any,
+              count: Any, target: Any, target_at: Any) -> Any:
+        return types.void(weights, INT, INT, INT, source, INT, INT, target, INT), generate
+
+    return typed
+
+
+_block, _row = intrinsic(_combining(ROWS)), intrinsic(_combining(1))
+
+
+@intrinsic
+def _correlate(typingctx: Any, left: Any, row: Any, rows: Any, right: Any, column: Any, columns: Any, strips: Any,
+               blocks: Any, at: Any) -> Any:
+    """Add to a block, whose rows and columns beyond the last repeat it."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
+        left, right, blocks = (_data(context, builder, kinds[k], arguments[k]) for k in (0, 3, 7))
+        row, rows, column, columns, strips, at = (arguments[k] for k in (1, 2, 4, 5, 6, 8))
+
+        def places(first: Any, size: Any, count: int) -> list[Any]:
+            found = []
+            for k in range(count):
+                here, last = builder.add(first, INDEX(k)), builder.sub(size, INDEX(1))
+                within = builder.select(builder.icmp_signed("<", here, last), here, last)
+                found.append(builder.mul(within, INDEX(STRIP)))
+            return found
+
+        downs, across = places(row, rows, DOWN), places(column, columns, ACROSS)
+        zero = ir.Constant(VECTOR, [0.0] * LANES)
+        totals = [_variable(builder, zero) for _ in range(DOWN * ACROSS)]
+        with cgutils.for_range(builder, strips) as loop:
+            here, there = (builder.mul(loop.index, builder.mul(size, INDEX(STRIP))) for size in (rows, columns))
+            for p in (0, LANES):
+                ones = [_load(builder, left, builder.add(builder.add(place, here), INDEX(p))) for place in downs]
+                others = [_load(builder, right, builder.add(builder.add(place, there), INDEX(p))) for place in across]
+                for v in range(DOWN):
+                    for u in range(ACROSS):
+                        total = totals[ACROSS * v + u]
+                        builder.store(_multiply_add(builder, ones[v], others[u], builder.load(total)), total)
+        vectors = [builder.load(total) for total in totals]
+        while len(vectors) > 1:  # sums of neighbours, of two vectors in one
+            vectors = [_add_neighbours(builder, *vectors[k:k + 2]) for k in range(0, len(vectors), 2)]
+        _store(builder, builder.fadd(vectors[0], _load(builder, blocks, at)), blocks, at)
+        return context.get_dummy_value()
+
+    return types.void(left, INT, INT, right, INT, INT, INT, blocks, INT), generate
+
+
+def _add_neighbours(builder: Any, a: Any, b: Any) -> Any:
+    mask = ir.VectorType(ir.IntType(32), LANES)
+    even, odd = (builder.shuffle_vector(a, b, ir.Constant(mask, list(range(k, 2 * LANES, 2)))) for k in range(2))
+    return builder.fadd(even, odd)
