@@ -204,15 +204,30 @@ class Session:
     def bind(self, inputs: Mapping[str, Tensor], outputs: Mapping[str, Tensor]) -> Callable[[], None]:
         """A function that runs the model on these tensors in place."""
         binding = self._session.io_binding()
+        binding.session = self._session  # which has to outlive it
         memory, index = self._placement.memory, self._placement.index
-        for name, tensor in inputs.items():
-            binding.bind_input(name, memory, index, _element_type(tensor), tensor.shape, tensor.start)
+        given = [(name, memory, index, _element_type(tensor), tensor.shape, tensor.start)
+                 for name, tensor in inputs.items()]
+
+        def bind_inputs() -> None:
+            for arguments in given:
+                binding.bind_input(*arguments)
+
+        bind_inputs()
         for name, tensor in outputs.items():
             binding.bind_output(name, memory, index, _element_type(tensor), tensor.shape, tensor.start)
         options = ort.RunOptions()
         if self._placement.stream:  # the command buffer waits once, at its end
             options.add_run_config_entry("disable_synchronize_execution_providers", "1")
-        return partial(self._session.run_with_iobinding, binding, options)
+        run = partial(self._session.run_with_iobinding, binding, options)
+        if not self._placement.asked:
+            return run
+
+        def run_elsewhere() -> None:
+            bind_inputs()  # binding copies an input to a provider that has its own memory, running does not
+            run()
+
+        return run_elsewhere
 
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """What depends on no input: all that the model's metadata holds, and these outputs, from one run on zeros.

@@ -6,7 +6,7 @@ import pytest
 from postfx import DenoiseUpscale, Pipeline
 from postfx.cli.main import main
 from postfx.frame import Role
-from postfx.runtime import Device, DeviceError, ModelError
+from postfx.runtime import ArgumentTable, Device, DeviceError, ModelError
 from postfx.runtime import session as session_module
 from postfx.runtime.session import Provider, parse_provider
 from tests import toys
@@ -57,6 +57,31 @@ def test_a_plug_in_without_a_device_here(monkeypatch):
     monkeypatch.setattr(session_module, "_register", lambda library: None)
     with pytest.raises(DeviceError, match="'NPU' has no device on this machine, although 'ep.so' is loaded"):
         Device("cpu", provider="NPU,library=ep.so")
+
+
+def test_inputs_are_bound_before_every_run(library, monkeypatch):
+    """A provider with memory of its own gets a copy when an input is bound, and none when the network runs."""
+    device = Device("cpu", threads=1, provider="CPU")
+    make, copied = session_module.ort.InferenceSession.io_binding, []
+
+    def far(session):
+        binding = make(session)
+        bind = binding.bind_input
+        binding.bind_input = lambda *place: copied.append(float(tensors["x"].array.max())) or bind(*place)
+        return binding
+
+    monkeypatch.setattr(session_module.ort.InferenceSession, "io_binding", far)
+    state = device.pipeline_state(library, "double", {"height": 4, "width": 5})
+    tensors = {name: device.heap.tensor(name, (1, 4, 5)) for name in ("x", "y")}
+    tensors["x"].fill(1)
+    commands = device.command_buffer("frame")
+    with commands.machine_learning_encoder("network") as encoder:
+        encoder.dispatch_network(state, ArgumentTable(state, tensors))
+    for value in (1, 2, 3):
+        commands.commit()
+        commands.wait()
+        assert copied[-1] == value and tensors["y"].array.max() == 2 * value
+        tensors["x"].fill(value + 1)
 
 
 def test_options_that_a_provider_refuses(library, monkeypatch):
