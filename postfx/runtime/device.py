@@ -166,14 +166,16 @@ class Device:
 
     def _borrow(self, name: str, array: Any) -> Tensor | np.ndarray:
         """A tensor on an array of another library in this device's memory, or NumPy's view of one in the host's."""
-        kind = type(array).__name__
         if not (hasattr(array, "__dlpack__") or hasattr(array, "__cuda_array_interface__")):
+            kind = type(array).__name__
             raise BindingError(f"array '{name}' is {kind}: give a NumPy array, or one of a library with DLPack")
         try:
-            if hasattr(array, "__dlpack_device__") and array.__dlpack_device__()[0] in HOST_KINDS:
+            place = array.__dlpack_device__() if hasattr(array, "__dlpack_device__") else None
+            if place and place[0] in HOST_KINDS:
                 return np.asarray(np.from_dlpack(array))
-            held = borrow(array, self.memory)
+            held = borrow(array, self.memory, place)
         except (ValueError, TypeError, BufferError, RuntimeError) as error:
+            kind = type(array).__name__
             raise BindingError(f"array '{name}' cannot be read from {kind}: {first_line(error)}") from error
         nbytes = size_in_bytes(held.shape, held.dtype) if held.dtype in DTYPES else 0
         allocation = Allocation(name, held.pointer, nbytes, owner=held.owner, writable=not held.is_read_only)

@@ -96,6 +96,13 @@ class Hazards:
             defined = lost is None and failed is None and resident.allocation.written.includes(needed)
             return TensorState(tensor.released, defined, writer, reader, recorded, failed, lost)
 
+    def is_settled(self, tensor: Tensor) -> bool:
+        """Whether nothing is in flight and the host may read the tensor; if not, `state` tells."""
+        with self._lock:
+            allocation = tensor.allocation
+            return not (self._flying or allocation.released or allocation.transient or allocation.lost) \
+                and allocation.written.covers(*tensor.span())
+
     def mark_written(self, tensor: Tensor) -> None:
         """Note that the tensor's content is now defined."""
         with self._lock:

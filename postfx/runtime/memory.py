@@ -7,6 +7,7 @@ import math
 import time
 import weakref
 from collections.abc import Callable, Hashable, Sequence
+from functools import cache, lru_cache
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -234,6 +235,9 @@ class Ranges:
 
     def add(self, start: int, end: int) -> None:
         """Include [start, end)."""
+        if not self.spans:
+            self.spans = ((start, end),)
+            return
         if self.covers(start, end):
             return
         apart = [span for span in self.spans if span[1] < start or span[0] > end]
@@ -314,13 +318,31 @@ _DELETER, _DESTRUCTOR = (ctypes.cast(function, ctypes.c_void_p).value for functi
 
 def lend(pointer: int, shape: tuple[int, ...], dtype: str, place: tuple[int, int], owner: object) -> object:
     """A DLPack capsule of a contiguous tensor; `owner` lives until the last array on it is gone."""
-    word = dtype.rstrip("0123456789")
-    sizes = (ctypes.c_int64 * len(shape))(*shape)
-    managed = _Managed(pointer, *place, len(shape), _CODES[word], int(dtype.removeprefix(word) or 8), 1, sizes, None, 0,
-                       None, _DELETER)
+    sizes = _sizes_of(shape)
+    managed = _Managed(pointer, *place, len(shape), *_number_of(dtype), 1, sizes, None, 0, None, _DELETER)
     address_of = ctypes.addressof(managed)
     _lent[address_of] = managed, sizes, owner
     return _new_capsule(address_of, _FRESH, _DESTRUCTOR)
+
+
+@lru_cache(256)
+def _sizes_of(shape: tuple[int, ...]) -> ctypes.Array[ctypes.c_int64]:
+    """A shape as DLPack has it, which nobody may write."""
+    return (ctypes.c_int64 * len(shape))(*shape)
+
+
+@cache
+def _number_of(dtype: str) -> tuple[int, int]:
+    """DLPack's number and bits of a type."""
+    word = dtype.rstrip("0123456789")
+    return _CODES[word], int(dtype.removeprefix(word) or 8)
+
+
+@lru_cache(256)
+def _name_of(code: int, bits: int) -> str:
+    """The type that DLPack's numbers mean."""
+    word = _WORDS.get(code, f"DLPack's type {code} of ")
+    return "bool" if word == "bool" else f"{word}{bits}"
 
 
 class Borrowed(NamedTuple):
@@ -333,15 +355,18 @@ class Borrowed(NamedTuple):
     owner: object
 
 
-def borrow(array: Any, memory: Memory) -> Borrowed:
+def borrow(array: Any, memory: Memory, place: tuple[int, int] | None) -> Borrowed:
     """An array in this memory, by `__cuda_array_interface__` if that is CUDA's, else by DLPack.
+
+    Args:
+        place: what `array.__dlpack_device__()` says; None without one, when it can only be in CUDA's memory.
 
     Raises ValueError with the reason when it lies elsewhere, has strides, or does not describe itself well.
     """
-    kind, index = array.__dlpack_device__() if hasattr(array, "__dlpack_device__") else (CUDA, memory.place[1])
-    if (int(kind), int(index)) != memory.place:
-        place = _name((int(kind), int(index)))
-        raise ValueError(f"it is in the memory of {place}, the device is {_name(memory.place)}")
+    place = place or (CUDA, memory.place[1])
+    if place != memory.place:
+        where = _name((int(place[0]), int(place[1])))
+        raise ValueError(f"it is in the memory of {where}, the device is {_name(memory.place)}")
     told = getattr(array, "__cuda_array_interface__", None) if memory.place[0] == CUDA else None
     return _from_interface(array, told, memory) if told is not None else _from_capsule(array, memory)
 
@@ -353,15 +378,22 @@ def _name(place: tuple[int, int]) -> str:
 def _from_interface(array: Any, told: Any, memory: Memory) -> Borrowed:
     try:
         (pointer, is_read_only), shape = told["data"], tuple(map(int, told["shape"]))
-        dtype, strides, stream = np.dtype(told["typestr"]), told.get("strides"), told.get("stream")
+        (dtype, size), strides, stream = _native_type(told["typestr"]), told.get("strides"), told.get("stream")
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"its __cuda_array_interface__ cannot be read ({error!r})") from error
-    if not dtype.isnative:
+    if not dtype:
         raise ValueError("it has the byte order of other machines")
-    steps = None if strides is None else [step // dtype.itemsize for step in strides]
-    _require_contiguous(shape, steps)
+    if strides is not None:
+        _require_contiguous(shape, [step // size for step in strides])
     memory.follow(stream)
-    return Borrowed(int(pointer or 0), shape, dtype.name, bool(is_read_only), array)
+    return Borrowed(int(pointer or 0), shape, dtype, bool(is_read_only), array)
+
+
+@cache
+def _native_type(typestr: str) -> tuple[str, int]:
+    """NumPy's name of a type, empty in the byte order of other machines, and its bytes."""
+    dtype = np.dtype(typestr)
+    return dtype.name if dtype.isnative else "", dtype.itemsize
 
 
 def _from_capsule(array: Any, memory: Memory) -> Borrowed:
@@ -369,18 +401,18 @@ def _from_capsule(array: Any, memory: Memory) -> Borrowed:
     capsule = array.__dlpack__() if stream is None else array.__dlpack__(stream=stream)
     managed = _Managed.from_address(_open_capsule(capsule, _FRESH))
     shape = tuple(managed.shape[: managed.ndim])
-    _require_contiguous(shape, managed.strides[: managed.ndim] if managed.strides else None)
-    word = _WORDS.get(managed.code, f"DLPack's type {managed.code} of ")
-    dtype = "bool" if word == "bool" else f"{word}{managed.bits}"
+    if managed.strides:
+        _require_contiguous(shape, managed.strides[: managed.ndim])
     # The capsule is left unused: it returns the array when it goes.
-    return Borrowed((managed.data or 0) + managed.offset, shape, dtype, False, capsule)
+    return Borrowed((managed.data or 0) + managed.offset, shape, _name_of(managed.code, managed.bits), False,
+                    capsule)
 
 
-def _require_contiguous(shape: tuple[int, ...], steps: Sequence[int] | None) -> None:
-    """Raises ValueError unless elements lie in order; `steps` from one to the next of an axis, None if they do."""
+def _require_contiguous(shape: tuple[int, ...], steps: Sequence[int]) -> None:
+    """Raises ValueError unless elements lie in order; `steps` from one to the next of an axis."""
     expected = 1
-    for size, step in zip(reversed(shape), reversed(steps or ()), strict=False):
+    for size, step in zip(reversed(shape), reversed(steps), strict=False):
         if size > 1 and step != expected:
-            raise ValueError(f"its elements do not lie in order (strides {tuple(steps or ())} of {shape}): make it "
+            raise ValueError(f"its elements do not lie in order (strides {tuple(steps)} of {shape}): make it "
                              "contiguous")
         expected *= size

@@ -126,6 +126,8 @@ class ContentStates(Protocol):
 
     def state(self, tensor: Tensor) -> TensorState: ...
 
+    def is_settled(self, tensor: Tensor) -> bool: ...
+
     def mark_written(self, tensor: Tensor) -> None: ...
 
 
@@ -248,7 +250,7 @@ class Tensor:
         self.contiguous = strided is None
         self._device = device
         self.name = name
-        self.shape = tuple(int(size) for size in shape)
+        self.shape = tuple(map(int, shape))
         self.dtype = dtype
         self.allocation = allocation
         self.nbytes = size_in_bytes(self.shape, dtype)
@@ -282,7 +284,7 @@ class Tensor:
         Raises DeviceError if the host cannot see the memory; HazardError if a command in flight writes it, if nothing
         has written it, or if it is transient and another tensor has its memory now.
         """
-        check_host_read(self.name, self.state)
+        self._check_host_read()
         view = self.resident().host_view().view()
         view.flags.writeable = False
         return view
@@ -293,7 +295,7 @@ class Tensor:
 
     def download(self) -> np.ndarray:
         """A NumPy copy of the content. Raises HazardError as `array` does."""
-        check_host_read(self.name, self.state)
+        self._check_host_read()
         scratch, here = self._device.scratch, self.resident()
         if not self.contiguous:
             return here.host_view().copy("C")
@@ -353,7 +355,7 @@ class Tensor:
         """
         if copy or (dl_device is not None and tuple(dl_device) != self.__dlpack_device__()) or not self.contiguous:
             raise BufferError(f"tensor '{self.name}' is shared where and as it lies: use download() for a copy")
-        check_host_read(self.name, self.state)
+        self._check_host_read()
         here = self.resident()
         return lend(here.start, self.shape, self.dtype, self._device.memory.place, here)
 
@@ -362,7 +364,7 @@ class Tensor:
         """The same for libraries that know CUDA's arrays; AttributeError in other memory."""
         if self._device.memory.place[0] != CUDA:
             raise AttributeError(f"tensor '{self.name}' is not in CUDA's memory")
-        check_host_read(self.name, self.state)
+        self._check_host_read()
         return {"shape": self.shape, "typestr": element_type(self.dtype).str, "strides": None, "version": 3,
                 "data": (self.resident().start, not self.allocation.writable), "stream": None}
 
@@ -412,6 +414,10 @@ class Tensor:
         if self._host is None:
             self._host = view_at(self.start, self.shape, element_type(self.dtype), self.allocation.owner)
         return self._host
+
+    def _check_host_read(self) -> None:
+        if not self._device.hazards.is_settled(self):
+            check_host_read(self.name, self.state)
 
     def _check_host_write(self) -> None:
         if self.allocation.transient:
