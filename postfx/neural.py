@@ -18,8 +18,9 @@ __all__ = ["Learner", "Network"]
 
 OPSET = 20
 """The first with GELU."""
-GROUP, MOST_GROUPS = 256, 64
-"""Points of a group at least, and groups at most: a group is summed by one thread, or one block of a GPU."""
+GROUPS, GPU_GROUPS = (256, 64), (64, 132)
+"""Points of a group at least, and groups at most, on the CPU, where a thread sums a group, and on a GPU, where a block
+does."""
 DECAYS, EPSILON = (0.9, 0.999), 1e-8
 
 
@@ -218,7 +219,8 @@ class Learner:
         """
         self._check(points, self.network.inputs, points.shape[0])
         self._check(targets, self.network.outputs, points.shape[0])
-        groups = min(MOST_GROUPS, -(-points.shape[0] // GROUP))
+        least, most = GROUPS if self.device.memory.host_visible else GPU_GROUPS
+        groups = min(most, -(-points.shape[0] // least))
         if groups not in self._partials:
             self._partials[groups] = self.device.heap.tensor("neural partials", (groups, self.network.count + 1))
         partials = self._last = self._partials[groups]
@@ -234,7 +236,7 @@ class Learner:
         """Mean squared error of the points of the last step that ran, before that step."""
         if self._last is None:
             raise BindingError("the network has not learned yet: record `learn` and wait for its commands")
-        return float(self._last.array[:, -1].sum(dtype=np.float64))
+        return float(self._last.content()[:, -1].sum(dtype=np.float64))
 
     def _check(self, tensor: Tensor, numbers: int, points: int) -> None:
         if tensor.shape != (points, numbers) or points < 1:

@@ -1,10 +1,12 @@
-"""Time of small networks beside torch, eager and compiled, on the same threads: a run, and a step that learns.
+"""Time of small networks beside torch, eager and compiled, on the same threads or GPU: a run, and a step that learns.
 
 python samples/neural_speed.py [--widths 16 32 64] [--threads 1 2] [--points 65536] [--runs 9] [--eager]
+python samples/neural_speed.py --device cuda [--tf32] [--graph]
 
 The network has 3 inputs with 4 bands of Fourier features, 3 hidden layers of ReLU and 3 outputs. A step is the mean
-squared error, its gradient, and Adam (fused in torch). Runs are in turn; prints medians of
-milliseconds and how many times longer torch takes. `--eager` leaves compiled torch out. Needs torch.
+squared error, its gradient, and Adam (fused in torch). Runs are in turn; prints medians of milliseconds and how many
+times longer torch takes. `--eager` leaves compiled torch out. On a GPU times are of 20 runs or steps between two waits;
+`--tf32` lets torch round factors to 11 bits, `--graph` has compiled torch use CUDA graphs. Needs torch.
 """
 import argparse
 import statistics
@@ -16,9 +18,10 @@ import torch
 
 from postfx import Device
 from postfx.neural import Learner, Network
+from postfx.runtime import CommandBuffer
 
 Form = Callable[[], object]
-BANDS = 4
+BANDS, REPEATS = 4, 20
 
 
 class Module(torch.nn.Module):
@@ -41,44 +44,60 @@ class Module(torch.nn.Module):
         return self.layers[-1](row)
 
 
-def ours(network: Network, threads: int, points: np.ndarray, targets: np.ndarray) -> tuple[Form, Form]:
-    """A run and a step, each a command buffer."""
-    device = Device("cpu", threads=threads)
-    learner = Learner(device, network, 1e-3)
-    places, wanted = device.wrap("points", points), device.wrap("targets", targets)
-    values = device.heap.tensor("values", targets.shape)
+class Ours:
+    """A run and a step, each as a command buffer that is committed again and again; on a GPU it holds many of them."""
 
-    def commit(learns: bool) -> np.ndarray:
+    def __init__(self, device: Device, network: Network, points: np.ndarray, targets: np.ndarray, repeats: int) -> None:
+        self.values = device.heap.tensor("values", targets.shape)
+        self._run, self._learn = (self._record(device, network, points, targets, repeats, learns)
+                                  for learns in (False, True))
+
+    def _record(self, device: Device, network: Network, points: np.ndarray, targets: np.ndarray, repeats: int,
+                learns: bool) -> CommandBuffer:
+        learner = Learner(device, network, 1e-3)
+        places, wanted = device.wrap("points", points), device.wrap("targets", targets)
         commands = device.command_buffer("network", captured=False)
         with commands.compute_encoder("network") as encoder:
-            if learns:
-                learner.learn(encoder, places, wanted)
-            else:
-                learner.run(encoder, places, values)
-        commands.commit()
-        commands.wait()
-        return values.array
+            for _ in range(repeats):
+                if learns:
+                    learner.learn(encoder, places, wanted)
+                else:
+                    learner.run(encoder, places, self.values)
+                    encoder.barrier()
+        return commands
 
-    return lambda: commit(False), lambda: commit(True)
+    def run(self) -> None:
+        self._run.commit()
+        self._run.wait()
+
+    def learn(self) -> None:
+        self._learn.commit()
+        self._learn.wait()
 
 
-def by_torch(network: Network, points: np.ndarray, targets: np.ndarray, compiled: bool) -> tuple[Form, Form]:
-    """A run and a step."""
-    module = Module(network, network.initial())
-    adam = torch.optim.Adam(module.parameters(), 1e-3, fused=True)
-    call = torch.compile(module) if compiled else module
-    places, wanted = torch.from_numpy(points), torch.from_numpy(targets)
+class Torch:
+    """The same by torch, eager or compiled."""
 
-    def run() -> np.ndarray:
+    def __init__(self, device: str, network: Network, points: np.ndarray, targets: np.ndarray, repeats: int,
+                 mode: str | None) -> None:
+        self._module = Module(network, network.initial()).to(device)
+        self._adam = torch.optim.Adam(self._module.parameters(), 1e-3, fused=True)
+        self._call = torch.compile(self._module, mode=mode) if mode else self._module
+        self._places, self._targets = torch.from_numpy(points).to(device), torch.from_numpy(targets).to(device)
+        self._repeats, self._wait = repeats, torch.cuda.synchronize if device == "cuda" else lambda: None
+
+    def run(self) -> None:
         with torch.no_grad():
-            return call(places).numpy()
+            for _ in range(self._repeats):
+                self.values = self._call(self._places)
+        self._wait()
 
-    def step() -> None:
-        adam.zero_grad()
-        torch.nn.functional.mse_loss(call(places), wanted).backward()
-        adam.step()
-
-    return run, step
+    def learn(self) -> None:
+        for _ in range(self._repeats):
+            self._adam.zero_grad()
+            torch.nn.functional.mse_loss(self._call(self._places), self._targets).backward()
+            self._adam.step()
+        self._wait()
 
 
 def milliseconds(form: Form) -> float:
@@ -93,24 +112,37 @@ parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
 parser.add_argument("--points", type=int, default=65536)
 parser.add_argument("--runs", type=int, default=9)
 parser.add_argument("--eager", action="store_true")
+parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
+parser.add_argument("--tf32", action="store_true")
+parser.add_argument("--graph", action="store_true")
 chosen = parser.parse_args()
 
 random = np.random.default_rng(0)
 points = random.uniform(-1, 1, (chosen.points, 3)).astype(np.float32)
 targets = random.normal(size=(chosen.points, 3)).astype(np.float32)
+modes = [None] if chosen.eager else [None, "reduce-overhead" if chosen.graph else "default"]
+repeats = REPEATS if chosen.device == "cuda" else 1
+torch.set_float32_matmul_precision("high" if chosen.tf32 else "highest")
 print(f"{'threads':>7} {'width':>5} {'what':<5} {'ours ms':>8} {'eager ms':>9} {'compiled ms':>11}  torch is slower")
-for threads in chosen.threads:
+for threads in chosen.threads if chosen.device == "cpu" else [1]:
     torch.set_num_threads(threads)
     for width in chosen.widths:
         network = Network(3, (width,) * 3, 3, bands=BANDS)
-        makers = [by_torch(network, points, targets, compiled) for compiled in (False, True)[:1 if chosen.eager else 2]]
-        makers.insert(0, ours(network, threads, points, targets))
-        for what, forms in zip(("run", "learn"), zip(*makers, strict=True), strict=True):
-            results = [form() for form in forms]  # compiles
-            if what == "run" and max(np.abs(results[0] - result).max() for result in results) > 1e-4:
-                raise SystemExit("the forms do not agree")
-            times = [[milliseconds(form) for form in forms] for _ in range(chosen.runs)]
-            own, *others = (statistics.median(column) for column in zip(*times, strict=True))
-            ratios = " and ".join(f"{other / own:.1f}x" for other in others)
-            shown = " ".join(f"{other:>{size}.1f}" for other, size in zip(others, (9, 11), strict=False))
-            print(f"{threads:>7} {width:>5} {what:<5} {own:>8.1f} {shown}  {ratios}", flush=True)
+        device = Device(chosen.device, threads=threads)
+        ours = Ours(device, network, points, targets, repeats)
+        others = [Torch(chosen.device, network, points, targets, repeats, mode) for mode in modes]
+        for what in ("run", "learn"):
+            forms = [getattr(form, what) for form in (ours, *others)]
+            for _ in range(3 if chosen.device == "cuda" else 1):  # compiles; CUDA graphs are captured the second time
+                for form in forms:
+                    form()
+            if what == "run":
+                values, bound = ours.values.download(), 1e-2 if chosen.tf32 else 1e-4
+                if max(np.abs(values - other.values.cpu().numpy()).max() for other in others) > bound:
+                    raise SystemExit("the forms do not agree")
+            times = [[milliseconds(form) / repeats for form in forms] for _ in range(chosen.runs)]
+            own, *rest = (statistics.median(column) for column in zip(*times, strict=True))
+            ratios = " and ".join(f"{other / own:.1f}x" for other in rest)
+            digits = 3 if chosen.device == "cuda" else 1
+            shown = " ".join(f"{other:>{size}.{digits}f}" for other, size in zip(rest, (9, 11), strict=False))
+            print(f"{threads:>7} {width:>5} {what:<5} {own:>8.{digits}f} {shown}  {ratios}", flush=True)

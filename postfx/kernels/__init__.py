@@ -15,6 +15,23 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 @dataclass(frozen=True)
+class Blocks:
+    """How a GPU runs a kernel whose threads work together.
+
+    Attributes:
+        rows: of the kernel's work that a block makes.
+        threads: of a block, in one axis.
+        shared: bytes of dynamic shared memory, or as many as the GPU has.
+        most: blocks at most; with fewer than there are rows for, each takes every so many rows.
+    """
+
+    rows: int
+    threads: int
+    shared: int = 0
+    most: int = 65535
+
+
+@dataclass(frozen=True)
 class Kernel:
     """One small compute kernel, over float32 tensors unless `types` says otherwise.
 
@@ -40,6 +57,7 @@ class Kernel:
             check bounds, so shapes given here are checked for them; they also let the device compile `rows` before
             the first frame.
         types: binding name -> element type, if not float32.
+        blocks: of threads on a GPU; by default each thread makes a pixel.
         folder: where a plug-in keeps the other forms, if not beside the module of `rows`.
     """
 
@@ -50,6 +68,7 @@ class Kernel:
     row_axis: tuple[str, int]
     shapes: Mapping[str, tuple[int | str, ...]] = field(default_factory=dict, hash=False)
     types: Mapping[str, str] = field(default_factory=dict, hash=False)
+    blocks: Blocks | None = None
     folder: Path | None = None
 
     def __post_init__(self) -> None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels import Kernel
+from postfx.kernels import Blocks, Kernel
 from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, summed
 from postfx.kernels.vectors import LANES, STRIP, combine, correlate, count_blocks, open_blocks
 
@@ -302,13 +302,16 @@ def adam_rows(y0: int, y1: int, partials: np.ndarray, hyper: np.ndarray, paramet
 
 _SHAPES: dict[str, tuple[int | str, ...]] = {
     "network": (FACTS,), "parameters": ("count",), "points": ("points", "inputs")}
+_THREADS = 256
 FORWARD = Kernel(
     "neural_forward", ("network", "parameters", "points"), ("values",), forward_rows, ("values", 0),
-    {**_SHAPES, "values": ("points", "outputs")})
+    {**_SHAPES, "values": ("points", "outputs")}, blocks=Blocks(64, _THREADS, 112 << 10, 264))
 GRADIENTS = Kernel(
     "neural_gradients", ("network", "parameters", "points", "targets"), ("partials",), gradient_rows, ("partials", 0),
-    {**_SHAPES, "targets": ("points", "outputs"), "partials": ("groups", "sums")})
+    {**_SHAPES, "targets": ("points", "outputs"), "partials": ("groups", "sums")},
+    blocks=Blocks(1, _THREADS, 224 << 10))
 ADAM = Kernel(
     "neural_adam", ("partials", "hyper", "parameters", "moments"), ("parameters", "moments"), adam_rows,
     ("moments", 0),
-    {"partials": ("groups", "sums"), "hyper": (4,), "parameters": ("count",), "moments": ("count", 3)})
+    {"partials": ("groups", "sums"), "hyper": (4,), "parameters": ("count",), "moments": ("count", 3)},
+    blocks=Blocks(8, _THREADS))

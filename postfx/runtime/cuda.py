@@ -22,7 +22,7 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.errors import DeviceError, ModelError
-from postfx.kernels import Kernel
+from postfx.kernels import Blocks, Kernel
 from postfx.kernels import denoise as layout
 from postfx.runtime.memory import CUDA, address
 from postfx.version import pip_install
@@ -142,24 +142,31 @@ class CudaMemory:
         self._stream.sync()
 
     def launcher(
-        self, name: str, source: Path, columns: int, rows: int, tensors: Sequence[Tensor]
+        self, name: str, source: Path, extent: tuple[int, int], blocks: Blocks | None, tensors: Sequence[Tensor]
     ) -> Callable[[], None]:
-        """A function that puts a kernel of a source file on the stream, with a thread for each pixel, or in one block
-        without columns.
+        """A function that puts a kernel of a source file on the stream.
+
+        Args:
+            extent: rows and columns. There is a thread for each pixel, or one block if there are no columns.
+            blocks: what there is instead.
 
         Raises ModelError when it cannot be compiled.
         """
         self._enter()
-        kernel = _compile(name, source, self._device.arch)
+        kernel, shared = _compile(name, source, self._device.arch), 0
+        rows, columns = extent
         block = PIXELS if columns else ONE_BLOCK
         grid = (-(-columns // block[0]), -(-rows // block[1])) if columns else (1, 1)
+        if blocks:
+            block, grid = (blocks.threads, 1), (1, min(-(-rows // blocks.rows), blocks.most))
+            shared = _allow_shared(int(kernel.handle), blocks.shared, self.place[1])
         views = [View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4])) for tensor in tensors]
         arguments = (ctypes.c_void_p * len(views))(*map(ctypes.addressof, views))
         launch, handle, stream = driver().cuLaunchKernel, driver().CUfunction(int(kernel.handle)), self.stream
 
         def run(held: tuple[object, ...] = (kernel, views)) -> None:  # keeps the arguments' memory alive
             self._enter()
-            check_result(launch(handle, *grid, 1, *block, 1, 0, stream, ctypes.addressof(arguments), 0))
+            check_result(launch(handle, *grid, 1, *block, 1, shared, stream, ctypes.addressof(arguments), 0))
 
         return run
 
@@ -175,6 +182,19 @@ class CudaMemory:
         if not hasattr(self._thread, "entered"):
             self._device.set_current()
             self._thread.entered = True
+
+
+def _allow_shared(kernel: int, wanted: int, index: int) -> int:
+    """Bytes of dynamic shared memory that a kernel may have on a GPU, at most those wanted."""
+    attributes, facts = driver().CUfunction_attribute, driver().CUdevice_attribute
+    most = facts.CU_DEVICE_ATTRIBUTE_MAX_SHARED_MEMORY_PER_BLOCK_OPTIN
+    function = driver().CUfunction(kernel)
+    fixed = check_result(driver().cuFuncGetAttribute(attributes.CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES, function))
+    device = check_result(driver().cuDeviceGet(index))
+    shared = min(wanted, int(check_result(driver().cuDeviceGetAttribute(most, device))) - int(fixed))
+    allowed = attributes.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
+    check_result(driver().cuFuncSetAttribute(function, allowed, shared))
+    return shared
 
 
 @cache

@@ -1,6 +1,7 @@
-"""Runs CUDA kernels on the host: their sources compiled as C++, one thread a block, blocks in turn.
+"""Runs CUDA kernels on the host: their sources compiled as C++, blocks in turn.
 
-What a GPU does with them (memory, synchronisation between threads) is not seen here; the arithmetic is.
+A block has one thread, or, where the kernel says how many, that many: they take turns at `__syncthreads` and where a
+warp multiplies. What a GPU does with memory is not seen here; the arithmetic is.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ SHIM = """
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
+#include <ucontext.h>
 #define __global__
 #define __device__
 #define __shared__ static
@@ -39,7 +41,85 @@ using std::max;
 using std::abs;
 struct Index { int x, y, z; };
 static Index blockIdx, threadIdx, blockDim = {1, 1, 1}, gridDim = {1, 1, 1};
-static inline void __syncthreads() {}
+
+// Threads of a block as contexts that the scheduler resumes one after the other.
+static ucontext_t scheduler, contexts[256];
+static char stacks[256][1 << 16];
+static bool ended[256];
+static int alive, arrived, turn, at_product[8], products[8];
+static void (*body)();
+
+static void give_way() {
+    const int own = threadIdx.x;
+    swapcontext(&contexts[own], &scheduler);
+    threadIdx.x = own;
+}
+
+static void begin() {
+    const int own = threadIdx.x;
+    body();
+    ended[own] = true;
+    if (--alive && arrived == alive) arrived = 0, turn++;
+}
+
+static void __syncthreads() {
+    if (blockDim.x == 1) return;
+    const int now = turn;
+    if (++arrived == alive) arrived = 0, turn++;
+    while (turn == now) give_way();
+}
+
+static void run_block(int threads) {
+    alive = threads, arrived = 0;
+    for (int k = 0; k < threads; k++) {
+        ended[k] = false;
+        getcontext(&contexts[k]);
+        contexts[k].uc_stack.ss_sp = stacks[k], contexts[k].uc_stack.ss_size = sizeof stacks[k];
+        contexts[k].uc_link = &scheduler;
+        makecontext(&contexts[k], begin, 0);
+    }
+    while (alive) {
+        for (int k = 0; k < threads; k++) {
+            threadIdx.x = k;
+            if (!ended[k]) swapcontext(&scheduler, &contexts[k]);
+        }
+    }
+    threadIdx.x = 0;
+}
+
+// What kernels with tensor cores expect: shared memory, and a warp's product, whose factors lose their last bits.
+static float memory[1 << 16];
+static int shared_bytes;
+static int shared_floats() { return shared_bytes / 4; }
+static float all_left[8][16][8], all_right[8][8][8];
+
+static float shortened(unsigned bits) {
+    float value;
+    bits &= ~0x1fffu;
+    std::memcpy(&value, &bits, 4);
+    return value;
+}
+
+static void meet(int warp) {
+    const int now = products[warp];
+    if (++at_product[warp] == 32) at_product[warp] = 0, products[warp]++;
+    while (products[warp] == now) give_way();
+}
+
+static void add_product(float (&sums)[4], const unsigned (&left)[4], const unsigned (&right)[2]) {
+    const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, g = lane / 4, q = lane % 4;
+    for (int k = 0; k < 4; k++) all_left[warp][g + k % 2 * 8][q + k / 2 * 4] = shortened(left[k]);
+    for (int k = 0; k < 2; k++) all_right[warp][q + k * 4][g] = shortened(right[k]);
+    meet(warp);
+    for (int k = 0; k < 4; k++) {
+        double total = sums[k];
+        const int row = g + k / 2 * 8, column = 2 * q + k % 2;
+        for (int i = 0; i < 8; i++) total += double(all_left[warp][row][i]) * all_right[warp][i][column];
+        sums[k] = float(total);
+    }
+    meet(warp);
+}
+
 template <class T> static inline T __ldg(const T* at) { return *at; }
 static inline float __int_as_float(int bits) { float value; std::memcpy(&value, &bits, 4); return value; }
 // Macros of the standard library that the GPU's compiler does not know.
@@ -64,14 +144,18 @@ def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
     name, axis = kernel.row_axis
     shape = arrays[name].shape
     rows, columns = shape[axis], shape[axis + 1] if axis + 1 < len(shape) else 1
+    threads, shared, blocks = 1, 0, kernel.blocks
+    if blocks:
+        threads, shared, columns, rows = blocks.threads, blocks.shared, 1, min(-(-rows // blocks.rows), blocks.most)
     function = getattr(_library(find_source(kernel)), f"run_{kernel.name}")
-    function.argtypes = [ctypes.c_int, ctypes.c_int, *[View] * len(kernel.reads + kernel.writes)]
-    function(columns, rows, *(view(arrays[binding]) for binding in kernel.reads + kernel.writes))
+    function.argtypes = [*[ctypes.c_int] * 4, *[View] * len(kernel.reads + kernel.writes)]
+    function(columns, rows, threads, shared, *(view(arrays[binding]) for binding in kernel.reads + kernel.writes))
 
 
 @cache
 def _library(family: Path) -> ctypes.CDLL:
-    """For each kernel of a family, a function (columns, rows, views ...) that calls it for every pixel.
+    """For each kernel of a family, a function (columns, rows, threads, bytes of shared memory, views ...) that calls it
+    for every pixel, or for every block.
 
     Compiled once for all processes: what is compiled lies beside the compiled kernels, by a digest of its source.
     """
@@ -89,7 +173,12 @@ def _library(family: Path) -> ctypes.CDLL:
 
 def _loop(name: str, count: int) -> str:
     views = [f"v{i}" for i in range(count)]
-    return (f'extern "C" void run_{name}(int columns, int rows, {", ".join(f"View {view}" for view in views)}) {{\n'
-            "    gridDim = {columns, rows, 1};\n"
+    given = ", ".join(f"View {view}" for view in views)
+    return (f'extern "C" void run_{name}(int columns, int rows, int threads, int shared, {given}) {{\n'
+            f"    static struct {{ View {', '.join(f'*{view}' for view in views)}; }} held;\n"
+            f"    held = {{{', '.join(f'&{view}' for view in views)}}};\n"
+            f"    body = [] {{ {name}({', '.join(f'*held.{view}' for view in views)}); }};\n"
+            "    gridDim = {columns, rows, 1}, blockDim = {threads, 1, 1}, shared_bytes = shared;\n"
             "    for (blockIdx.y = 0; blockIdx.y < rows; blockIdx.y++)\n"
-            f"        for (blockIdx.x = 0; blockIdx.x < columns; blockIdx.x++) {name}({', '.join(views)});\n}}\n")
+            "        for (blockIdx.x = 0; blockIdx.x < columns; blockIdx.x++)\n"
+            "            if (threads > 1) run_block(threads); else body();\n}\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from postfx.kernels.neural import ADAM, FORWARD, GRADIENTS
 from postfx.kernels.vectors import LANES, STRIP, combine, correlate, count_blocks, open_blocks
 from postfx.neural import DECAYS, EPSILON, Learner, Network
 from postfx.runtime import ArgumentTable, Device, Library
+from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda
 
 NETWORKS = (Network(3, (4, 4), 3), Network(3, (16, 16), 3, "gelu"), Network(9, (64, 64, 64), 3, bands=4, encoded=3),
@@ -134,18 +136,60 @@ def test_points_without_a_target_add_nothing():
     assert learner.error() == pytest.approx(error, rel=1e-5)
 
 
-@pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
+@pytest.mark.gpu
+@pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
 @every_network
-def test_cuda_kernels_compute_what_the_compiled_rows_do(network):
+def test_a_gpu_computes_what_torch_does(network):
+    """Values and gradients within 1e-5, and the same bits again."""
+    twin, device = Twin(network, 3000), Device("cuda")
+    twin.targets[::7, 0] = np.nan
+    with torch.no_grad():
+        made = twin.run(torch.from_numpy(twin.points)).numpy()
+    wanted, error = twin.gradients(np.where(np.isfinite(twin.targets).all(1)[:, None], twin.targets, made))
+    learner, found = Learner(device, network, 0.0, twin.start), []
+    for _ in range(2):
+        values = in_frame(device, learner, twin.points, twin.targets)
+        found.append((values, learner._last.download()))
+    print(f"{network.sizes}: values {np.abs(values - made).max():.1e}, "
+          f"gradients {np.abs(found[0][1][:, :-1].sum(0) - wanted).max():.1e} of {np.abs(wanted).max():.1e}")
+    np.testing.assert_allclose(values, made, atol=1e-5, rtol=1e-5)
+    np.testing.assert_allclose(found[0][1][:, :-1].sum(0), wanted, atol=1e-5)
+    assert learner.error() == pytest.approx(error, rel=1e-5)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
+def test_a_gpu_learns_as_the_cpu_does():
+    """A network of 128 by 4, whose weights do not fit into shared memory, and one whose do."""
+    for network in (Network(3, (128,) * 4, 3, "gelu"), NETWORKS[2]):
+        errors = []
+        for name in ("cpu", "cuda"):
+            device = Device(name)
+            learner, random = Learner(device, network, 1e-3), np.random.default_rng(0)
+            points = random.uniform(-1, 1, (4000, network.inputs)).astype(np.float32)
+            in_frame(device, learner, points, np.sin(3 * points[:, :3]), 40)
+            errors.append(learner.error())
+        print(f"{network.sizes}: error {errors[0]:.6f} on the CPU, {errors[1]:.6f} on the GPU")
+        assert errors[1] == pytest.approx(errors[0], rel=0.02) and errors[1] < 0.1
+
+
+@pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
+@pytest.mark.parametrize("shared", [None, 80 << 10], ids=["much", "little"])
+@every_network
+def test_cuda_kernels_compute_what_the_compiled_rows_do(network, shared):
+    """Also with less shared memory than the parameters of wide layers need."""
     twin = Twin(network, 150)
     inputs = {"network": network.facts(), "parameters": twin.start, "points": twin.points, "targets": twin.targets}
     inputs["targets"][5, 0] = np.inf
-    sizes = {FORWARD: ("values", twin.targets.shape), GRADIENTS: ("partials", (3, network.count + 1))}
+    sizes = {FORWARD: ("values", twin.targets.shape), GRADIENTS: ("partials", (2, network.count + 1))}
     for kernel, (name, size) in sizes.items():
         given = {binding: inputs[binding] for binding in kernel.reads}
         wanted, found = np.full(size, np.nan, np.float32), np.full(size, np.nan, np.float32)
         kernel.rows(0, size[0], *given.values(), wanted)
-        host_cuda.run(kernel, given | {name: found})
+        blocks = replace(kernel.blocks, shared=shared or kernel.blocks.shared, most=2 if shared else 264)
+        host_cuda.run(replace(kernel, blocks=blocks), given | {name: found})
         np.testing.assert_allclose(found, wanted, atol=1e-5, rtol=1e-5)
     hyper = np.float32([0.01, *DECAYS, EPSILON])
     states = [(twin.start.copy(), np.full((network.count, 3), 0.5, np.float32)) for _ in range(2)]
