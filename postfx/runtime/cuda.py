@@ -153,16 +153,17 @@ class CudaMemory:
         Raises ModelError when it cannot be compiled.
         """
         self._enter()
-        kernel, shared = _compile(name, source, self._device.arch), 0
+        kernel = _compile(name, source, self._device.arch)
+        handle, shared = driver().CUfunction(int(kernel.handle)), 0
         rows, columns = extent
         block = PIXELS if columns else ONE_BLOCK
         grid = (-(-columns // block[0]), -(-rows // block[1])) if columns else (1, 1)
         if blocks:
             block, grid = (blocks.threads, 1), (1, min(-(-rows // blocks.rows), blocks.most))
-            shared = _allow_shared(int(kernel.handle), blocks.shared, self.place[1])
+            handle, shared = _allow_shared(kernel.handle, blocks.shared, self.place[1])
         views = [View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4])) for tensor in tensors]
         arguments = (ctypes.c_void_p * len(views))(*map(ctypes.addressof, views))
-        launch, handle, stream = driver().cuLaunchKernel, driver().CUfunction(int(kernel.handle)), self.stream
+        launch, stream = driver().cuLaunchKernel, self.stream
 
         def run(held: tuple[object, ...] = (kernel, views)) -> None:  # keeps the arguments' memory alive
             self._enter()
@@ -184,17 +185,19 @@ class CudaMemory:
             self._thread.entered = True
 
 
-def _allow_shared(kernel: int, wanted: int, index: int) -> int:
-    """Bytes of dynamic shared memory that a kernel may have on a GPU, at most those wanted."""
+def _allow_shared(kernel: Any, wanted: int, index: int) -> tuple[Any, int]:
+    """A kernel's function in the current context, and how many bytes of dynamic shared memory it may have now: those
+    that are wanted, or as many as the GPU has."""
     attributes, facts = driver().CUfunction_attribute, driver().CUdevice_attribute
     most = facts.CU_DEVICE_ATTRIBUTE_MAX_SHARED_MEMORY_PER_BLOCK_OPTIN
-    function = driver().CUfunction(kernel)
+    is_function = isinstance(kernel, driver().CUfunction)
+    function = kernel if is_function else check_result(driver().cuKernelGetFunction(int(kernel)))
     fixed = check_result(driver().cuFuncGetAttribute(attributes.CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES, function))
     device = check_result(driver().cuDeviceGet(index))
     shared = min(wanted, int(check_result(driver().cuDeviceGetAttribute(most, device))) - int(fixed))
     allowed = attributes.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
     check_result(driver().cuFuncSetAttribute(function, allowed, shared))
-    return shared
+    return function, shared
 
 
 @cache

@@ -172,7 +172,7 @@ def test_a_gpu_learns_as_the_cpu_does():
             in_frame(device, learner, points, np.sin(3 * points[:, :3]), 40)
             errors.append(learner.error())
         print(f"{network.sizes}: error {errors[0]:.6f} on the CPU, {errors[1]:.6f} on the GPU")
-        assert errors[1] == pytest.approx(errors[0], rel=0.02) and errors[1] < 0.1
+        assert errors[1] == pytest.approx(errors[0], rel=0.01)
 
 
 @pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
