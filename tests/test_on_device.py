@@ -115,6 +115,16 @@ def test_arrays_of_a_device_stay_there(far, how, monkeypatch):
     assert told["shape"] == (72, 96, 3) and told["typestr"] == "<f4" and told["data"] == (start, False)
 
 
+def test_an_interface_without_a_stream_leaves_the_waiting_to_dlpack(far):
+    """As PyTorch's, whose kernels may still write the array."""
+    array = There(PLANES[Role.COLOUR])
+    del array.__cuda_array_interface__["stream"]
+    assert np.array_equal(far.wrap("colour", array).download(), array.array) and array.streams == [7]
+    only = There(PLANES[Role.COLOUR], how=("cuda",))
+    del only.__cuda_array_interface__["stream"]
+    assert np.array_equal(far.wrap("colour", only).download(), only.array)
+
+
 def test_exposure_by_the_meter_and_planes_that_no_pass_reads():
     pipeline = Pipeline([DenoiseUpscale(model="s")], Device("cpu"))
     found = pipeline.on_device(PLANES)
@@ -283,3 +293,22 @@ def test_tensors_of_pytorch_on_a_gpu():
     assert torch.from_dlpack(found).is_cuda
     assert np.array_equal(torch.from_dlpack(found).cpu().numpy(), found.download())
     assert torch.equal(torch.as_tensor(found, device="cuda"), torch.from_dlpack(found))
+    times = []
+    for _ in range(50):
+        begin = time.perf_counter()
+        for plane in planes.values():
+            device.wrap("plane", plane)
+        torch.from_dlpack(found)
+        times.append(time.perf_counter() - begin)
+    print(f"sharing {len(planes)} planes of PyTorch and a result: {1e3 * statistics.median(times):.3f} ms")
+    large = torch.randn(4096, 4096, device="cuda")
+    for _ in range(3):  # our stream waits for what PyTorch's still has to do
+        late = large
+        for _ in range(20):
+            late = late @ large / 64
+        seen = device.wrap("late", late)
+        held = device.heap.tensor("held", tuple(late.shape))
+        device.memory.copy(held.start, seen.start, seen.nbytes)
+        device.memory.synchronise()
+        device.hazards.mark_written(held)
+        assert np.array_equal(held.download(), late.cpu().numpy())

@@ -356,7 +356,8 @@ class Borrowed(NamedTuple):
 
 
 def borrow(array: Any, memory: Memory, place: tuple[int, int] | None) -> Borrowed:
-    """An array in this memory, by `__cuda_array_interface__` if that is CUDA's, else by DLPack.
+    """An array in this memory, by `__cuda_array_interface__` if that is CUDA's and says what stream to wait for, as
+    PyTorch's does not; else by DLPack, whose producer sees to it that our stream waits.
 
     Args:
         place: what `array.__dlpack_device__()` says; None without one, when it can only be in CUDA's memory.
@@ -368,7 +369,9 @@ def borrow(array: Any, memory: Memory, place: tuple[int, int] | None) -> Borrowe
         where = _name((int(place[0]), int(place[1])))
         raise ValueError(f"it is in the memory of {where}, the device is {_name(memory.place)}")
     told = getattr(array, "__cuda_array_interface__", None) if memory.place[0] == CUDA else None
-    return _from_interface(array, told, memory) if told is not None else _from_capsule(array, memory)
+    if told is not None and ("stream" in told or not hasattr(array, "__dlpack__")):
+        return _from_interface(array, told, memory)
+    return _from_capsule(array, memory)
 
 
 def _name(place: tuple[int, int]) -> str:
