@@ -22,7 +22,7 @@ __device__ inline void add_product(float (&sums)[4], const unsigned (&left)[4], 
 }
 #endif
 
-const int NEURAL_THREADS = 256, NEURAL_POINTS = 64, SLACK = 16;
+const int NEURAL_THREADS = 256, NEURAL_POINTS = 64, NEURAL_LAYERS = 5, SLACK = 16;
 
 __device__ inline int padded(int size) {
     return (size + 7) / 8 * 8;
@@ -33,35 +33,29 @@ __device__ inline int stride_of(int size) {
     return padded(size) + 4;
 }
 
+// What every block knows of the network, up to each layer: floats of a point in rows of what the layers before it read,
+// of their parameters in the shared memory, and of these in the tensor.
 struct Network {
-    int layers, inputs, encoded, bands, activation;
-    const float* sizes;
-    __device__ int size(int layer) const { return int(sizes[layer]); }
-
-    // Floats that `points` points need of what layers `first` to `last` - 1 read.
-    __device__ int rows(int first, int last, int points) const {
-        int total = 0;
-        for (int layer = first; layer < last; layer++) total += points * stride_of(size(layer));
-        return total;
-    }
-
-    // Floats of all parameters up to a layer, in the shared memory.
-    __device__ int space(int last) const {
-        int total = 0;
-        for (int layer = 0; layer < last; layer++) total += padded(size(layer + 1)) * stride_of(size(layer));
-        return total;
-    }
-
-    __device__ int count(int last) const {
-        int total = 0;
-        for (int layer = 0; layer < last; layer++) total += (size(layer) + 1) * size(layer + 1);
-        return total;
-    }
+    int layers, inputs, encoded, bands, activation, widest;
+    int size[NEURAL_LAYERS + 1], rows[NEURAL_LAYERS + 2], space[NEURAL_LAYERS + 1], count[NEURAL_LAYERS + 1];
 };
 
-__device__ inline Network network_of(const View& view) {
-    const float* at = view.at;
-    return {int(at[0]), int(at[1]), int(at[2]), int(at[3]), int(at[4]), at + 5};
+__device__ inline void read_network(const View& view, Network& net) {
+    const float* const at = view.at;
+    if (threadIdx.x == 0) {
+        net.layers = int(at[0]), net.inputs = int(at[1]), net.encoded = int(at[2]), net.bands = int(at[3]);
+        net.activation = int(at[4]), net.widest = net.rows[0] = net.space[0] = net.count[0] = 0;
+        for (int layer = 0; layer <= net.layers; layer++) {
+            const int size = net.size[layer] = int(at[5 + layer]);
+            net.rows[layer + 1] = net.rows[layer] + stride_of(size);
+            net.widest = max(net.widest, stride_of(size));
+            if (layer == 0) continue;
+            const int reads = net.size[layer - 1];
+            net.space[layer] = net.space[layer - 1] + padded(size) * stride_of(reads);
+            net.count[layer] = net.count[layer - 1] + (reads + 1) * size;
+        }
+    }
+    __syncthreads();
 }
 
 // A layer's parameters, or sums of their gradients: in the shared memory with rows padded by 0 and followed by the
@@ -72,8 +66,8 @@ struct Layer {
 };
 
 __device__ inline Layer layer_of(const Network& net, int layer, float* at, bool shared) {
-    const int reads = net.size(layer), makes = net.size(layer + 1);
-    at += shared ? net.space(layer) : net.count(layer);
+    const int reads = net.size[layer], makes = net.size[layer + 1];
+    at += shared ? net.space[layer] : net.count[layer];
     if (shared) return {at, at + padded(reads), reads, makes, stride_of(reads), stride_of(reads)};
     return {at, at + reads * makes, reads, makes, reads, 1};
 }
@@ -106,22 +100,21 @@ __device__ inline float slope_of(int kind, float z) {
 
 // What the first layer reads of `count` points; 0 beside it and for the others of `most`.
 __device__ inline void encode_points(const Network& net, const float* points, int count, int most, float* rows) {
-    const int size = net.size(0), wide = padded(size), stride = stride_of(size);
-    for (int k = threadIdx.x; k < wide * most; k += NEURAL_THREADS) {
-        const int p = k / wide, column = k % wide, feature = column - net.inputs;
-        float value = 0.0f;
-        if (p < count && column < size) {
-            if (feature < 0) {
-                value = points[p * net.inputs + column];
-            } else {
-                const int pair = feature / 2, band = pair / net.encoded;
-                const float turns = points[p * net.inputs + pair % net.encoded] * float(1 << band);
-                const float whole = floorf(turns + 0.5f), angle = (turns - whole) * 3.14159265358979f;
+    const int size = net.size[0], wide = padded(size), stride = stride_of(size), inputs = net.inputs;
+    for (int column = threadIdx.x % 32; column < wide; column += 32) {
+        const int feature = column - inputs, pair = feature / 2;
+        const int input = feature < 0 ? column : pair % net.encoded;
+        const float factor = feature < 0 ? 1.0f : float(1 << pair / net.encoded);
+        for (int p = threadIdx.x / 32; p < most; p += NEURAL_THREADS / 32) {
+            float value = 0.0f;
+            if (p < count && column < size) value = points[p * inputs + input] * factor;
+            if (feature >= 0) {
+                const float whole = floorf(value + 0.5f), angle = (value - whole) * 3.14159265358979f;
                 const float sign = whole * 0.5f == floorf(whole * 0.5f) ? 1.0f : -1.0f;
-                value = sign * (feature % 2 ? cosf(angle) : sinf(angle));
+                value = p < count && column < size ? sign * (feature % 2 ? cosf(angle) : sinf(angle)) : 0.0f;
             }
+            rows[p * stride + column] = value;
         }
-        rows[p * stride + column] = value;
     }
     __syncthreads();
 }
@@ -147,33 +140,45 @@ struct Matrix {
     int row, column;
 };
 
-// 16 rows and up to 32 of `columns` columns of a product by one warp, of `inner` sums. A lane has rows g and g + 8,
-// columns 2 q and 2 q + 1 of each eight. `left` is 0 beyond `inner`; so is `right`, unless it is BARE: without padding.
-// The order of the sums puts a warp's numbers into different banks: `pairs` are neighbours, or four apart.
-template <bool BARE>
+// 16 rows and 8 COUNT columns of a product by one warp, of `inner` sums; those beyond `columns` are of no use. A lane
+// has rows g and g + 8, columns 2 q and 2 q + 1 of each eight. `left` is 0 beyond `inner`. The order of the sums puts a
+// warp's numbers into different banks: `pairs` are neighbours, or four apart.
+template <int COUNT>
 __device__ inline void multiply(float (&sums)[4][4], Matrix left, Matrix right, int inner, int columns, bool pairs) {
-    const int lane = threadIdx.x % 32, g = lane / 4, q = lane % 4, second = pairs ? 1 : 4;
-    for (int k = pairs ? 2 * q : q; k < padded(inner); k += 8) {
+    const int lane = threadIdx.x % 32, g = lane / 4, q = lane % 4, second = pairs ? 1 : 4, last = inner - 1;
+    const int down = 8 * left.row, across = second * left.column;
+    const float* at[COUNT];
+#pragma unroll
+    for (int n = 0; n < COUNT; n++) at[n] = right.at + min(8 * n + g, columns - 1) * right.column;
+#pragma unroll 2
+    for (int first = 0; first < inner; first += 8) {
+        const int k = first + (pairs ? 2 * q : q);
         const float* const a = left.at + g * left.row + k * left.column;
-        const float* const b = right.at + k * right.row + g * right.column;
-        const int down = 8 * left.row, across = second * left.column, below = second * right.row;
-        unsigned high[4], low[4];
+        const int above = min(k, last) * right.row, below = min(k + second, last) * right.row;
+        unsigned high[4], low[4], whole[COUNT][2], rest[COUNT][2];
         split(a[0], high[0], low[0]);
         split(a[down], high[1], low[1]);
         split(a[across], high[2], low[2]);
         split(a[down + across], high[3], low[3]);
 #pragma unroll
-        for (int n = 0; n < 4; n++) {
-            if (8 * n >= columns) continue;
-            const float* const c = b + 8 * n * right.column;
-            const bool there = !BARE || 8 * n + g < columns;
-            unsigned above[2], rest[2];
-            split(there && (!BARE || k < inner) ? c[0] : 0.0f, above[0], rest[0]);
-            split(there && (!BARE || k + second < inner) ? c[below] : 0.0f, above[1], rest[1]);
-            add_product(sums[n], low, above);
-            add_product(sums[n], high, rest);
-            add_product(sums[n], high, above);
+        for (int n = 0; n < COUNT; n++) {
+            split(at[n][above], whole[n][0], rest[n][0]);
+            split(at[n][below], whole[n][1], rest[n][1]);
         }
+#pragma unroll
+        for (int n = 0; n < COUNT; n++) add_product(sums[n], low, whole[n]);
+#pragma unroll
+        for (int n = 0; n < COUNT; n++) add_product(sums[n], high, rest[n]);
+#pragma unroll
+        for (int n = 0; n < COUNT; n++) add_product(sums[n], high, whole[n]);
+    }
+}
+
+__device__ inline void multiply(float (&sums)[4][4], Matrix left, Matrix right, int inner, int columns, bool pairs) {
+    if (columns > 8) {
+        multiply<4>(sums, left, right, inner, columns, pairs);
+    } else {
+        multiply<1>(sums, left, right, inner, columns, pairs);
     }
 }
 
@@ -188,10 +193,11 @@ __device__ inline void spread(const float (&sums)[4][4], Store store) {
     }
 }
 
-// Call `store(point, output, sum)` for the outputs of a layer before its activation, the padding included.
-template <bool BARE, class Store>
-__device__ inline void run_layer(const Layer& layer, const float* from, int points, Store store) {
+// A layer of some points: rows of its outputs with 0 beside them, and of the slopes there; -1 is no activation.
+__device__ inline void run_layer(const Layer& layer, const float* from, int points, int kind, float* to,
+                                 float* slopes) {
     const int tiles = points / 16, wide = (layer.makes + 31) / 32, lane = threadIdx.x % 32;
+    const int reads = stride_of(layer.reads), stride = stride_of(layer.makes);
     for (int tile = threadIdx.x / 32; tile < tiles * wide; tile += NEURAL_THREADS / 32) {
         const int p = tile % tiles * 16, j = tile / tiles * 32;
         float sums[4][4];
@@ -203,36 +209,44 @@ __device__ inline void run_layer(const Layer& layer, const float* from, int poin
                 sums[n][k] = column < layer.makes ? layer.biases[column * layer.step] : 0.0f;
             }
         }
-        multiply<BARE>(sums, {from + p * stride_of(layer.reads), stride_of(layer.reads), 1},
-                       {layer.weights + j * layer.stride, 1, layer.stride}, layer.reads, layer.makes - j, false);
-        spread(sums, [&](int row, int column, float sum) { store(p + row, j + column, sum); });
+        multiply(sums, {from + p * reads, reads, 1}, {layer.weights + j * layer.stride, 1, layer.stride}, layer.reads,
+                 layer.makes - j, false);
+        spread(sums, [&](int row, int column, float sum) {
+            if (j + column < padded(layer.makes)) {
+                to[(p + row) * stride + j + column] = j + column < layer.makes ? sum : 0.0f;
+            }
+        });
+#pragma unroll 1
+        for (int k = 0; k < 16 && kind >= 0; k++) {  // the same numbers: this code is too long to be there 16 times
+            const int column = j + k / 4 * 8 + lane % 4 * 2 + k % 2;
+            if (column >= padded(layer.makes)) break;
+            const int at = (p + lane / 4 + k % 4 / 2 * 8) * stride + column;
+            const float z = to[at];
+            if (slopes) slopes[at] = column < layer.makes ? slope_of(kind, z) : 0.0f;
+            to[at] = activated(kind, z);
+        }
     }
+    __syncthreads();
 }
 
-template <bool BARE>
+template <bool SHARED>
 __device__ inline void run_all(const Network& net, float* weights, View points, View values) {
-    int widest = 0;
-    for (int layer = 0; layer < net.layers; layer++) widest = max(widest, stride_of(net.size(layer)));
-    const int total = values.size[0], outputs = values.size[1];
+    const int total = values.size[0], outputs = values.size[1], last = net.layers - 1, stride = stride_of(outputs);
     for (int first = blockIdx.y * NEURAL_POINTS; first < total; first += gridDim.y * NEURAL_POINTS) {
         const int count = min(NEURAL_POINTS, total - first);
         encode_points(net, points.at + size_t(first) * net.inputs, count, NEURAL_POINTS, memory);
-        for (int index = 0; index < net.layers; index++) {
-            const Layer layer = layer_of(net, index, weights, !BARE);
-            const float* const from = memory + index % 2 * NEURAL_POINTS * widest;
-            float* const to = memory + (index + 1) % 2 * NEURAL_POINTS * widest;
-            if (index < net.layers - 1) {
-                run_layer<BARE>(layer, from, NEURAL_POINTS, [&](int p, int j, float z) {
-                    if (j >= padded(layer.makes)) return;
-                    to[p * stride_of(layer.makes) + j] = j < layer.makes ? activated(net.activation, z) : 0.0f;
-                });
-            } else {
-                run_layer<BARE>(layer, from, NEURAL_POINTS, [&](int p, int j, float z) {
-                    if (p < count && j < outputs) values.at[size_t(first + p) * outputs + j] = z;
-                });
-            }
-            __syncthreads();
+        float *from = memory, *to = memory + NEURAL_POINTS * net.widest;
+        for (int index = 0; index <= last; index++) {
+            const int kind = index < last ? net.activation : -1;
+            run_layer(layer_of(net, index, weights, SHARED), from, NEURAL_POINTS, kind, to, nullptr);
+            float* const made = to;
+            to = from;
+            from = made;
         }
+        for (int k = threadIdx.x; k < count * outputs; k += NEURAL_THREADS) {
+            values.at[size_t(first) * outputs + k] = from[k / outputs * stride + k % outputs];
+        }
+        __syncthreads();
     }
 }
 
@@ -240,21 +254,19 @@ __device__ inline void run_all(const Network& net, float* weights, View points, 
 // points.
 extern "C" __global__ void __launch_bounds__(256) neural_forward(View network, View parameters, View points,
                                                                  View values) {
-    const Network net = network_of(network);
-    int widest = 0;
-    for (int layer = 0; layer < net.layers; layer++) widest = max(widest, stride_of(net.size(layer)));
-    const int begin = 2 * NEURAL_POINTS * widest;
-    if (begin + net.space(net.layers) <= shared_floats()) {
+    __shared__ Network net;
+    read_network(network, net);
+    const int begin = 2 * NEURAL_POINTS * net.widest;
+    if (begin + net.space[net.layers] <= shared_floats()) {
         load_layers(net, parameters.at, memory + begin);
-        run_all<false>(net, memory + begin, points, values);
+        run_all<true>(net, memory + begin, points, values);
     } else {
-        run_all<true>(net, parameters.at, points, values);
+        run_all<false>(net, parameters.at, points, values);
     }
 }
 
 // The gradients of one layer: of its parameters, added to `sums`; and of what it reads, which takes the place of the
 // slopes there.
-template <bool BARE>
 __device__ inline void pull_back(const Layer& layer, const Layer& sums, const float* reads, const float* deltas,
                                  float* slopes, int points) {
     const int high = (layer.makes + 15) / 16, wide = (layer.reads + 31) / 32, tiles = points / 16;
@@ -263,7 +275,7 @@ __device__ inline void pull_back(const Layer& layer, const Layer& sums, const fl
         float found[4][4] = {};
         const int i = tile % wide * 32, row = tile / wide * 16;
         if (row < 16 * high) {
-            multiply<false>(found, {deltas + row, 1, made_stride}, {reads + i, read_stride, 1}, points, layer.reads - i,
+            multiply(found, {deltas + row, 1, made_stride}, {reads + i, read_stride, 1}, points, layer.reads - i,
                             true);
             spread(found, [&](int r, int c, float sum) {
                 const bool there = row + r < layer.makes && i + c < layer.reads;
@@ -271,7 +283,7 @@ __device__ inline void pull_back(const Layer& layer, const Layer& sums, const fl
             });
         } else {
             const int p = row - 16 * high;
-            multiply<BARE>(found, {deltas + p * made_stride, made_stride, 1},
+            multiply(found, {deltas + p * made_stride, made_stride, 1},
                            {layer.weights + i, layer.stride, 1}, layer.makes, layer.reads - i, true);
             spread(found, [&](int r, int c, float sum) {
                 if (i + c >= padded(layer.reads)) return;
@@ -280,36 +292,37 @@ __device__ inline void pull_back(const Layer& layer, const Layer& sums, const fl
             });
         }
     }
-    if (threadIdx.x < layer.makes) {
+    for (int first = 0; first < layer.makes; first += NEURAL_THREADS / 4) {  // four threads share a bias
+        const int j = first + threadIdx.x / 4;
         float total = 0.0f;
-        for (int p = 0; p < points; p++) total += deltas[p * made_stride + threadIdx.x];
-        sums.biases[threadIdx.x * sums.step] += total;
+        for (int p = threadIdx.x % 4; p < points && j < layer.makes; p += 4) total += deltas[p * made_stride + j];
+        total += __shfl_xor_sync(~0u, total, 1);
+        total += __shfl_xor_sync(~0u, total, 2);
+        if (threadIdx.x % 4 == 0 && j < layer.makes) sums.biases[j * sums.step] += total;
     }
     __syncthreads();
 }
 
 // One group of points: all layers forwards and backwards.
-template <bool BARE>
+template <bool SHARED>
 __device__ inline void learn_group(const Network& net, float* weights, float* sums, int most, View points, View targets,
                                    int begin, int end, double& error) {
-    const int last = net.layers, outputs = net.size(last), stride = stride_of(outputs);
-    float* const changes = memory + net.rows(0, last, most);
-    float* const result = changes + net.rows(1, last, most);
+    const int last = net.layers, kind = net.activation, outputs = net.size[last], stride = stride_of(outputs);
+    float* const changes = memory + most * (net.rows[last] - net.rows[1]);  // from layer 1 on
+    float* const result = changes + most * net.rows[last];
     const float share = 1.0f / (float(points.size[0]) * float(outputs));
     for (int first = begin; first < end; first += most) {
         const int count = min(most, end - first);
         encode_points(net, points.at + size_t(first) * net.inputs, count, most, memory);
         for (int index = 0; index < last; index++) {
-            const Layer layer = layer_of(net, index, weights, !BARE);
-            const int makes = layer.makes, wide = stride_of(makes);
-            float* const to = memory + net.rows(0, index + 1, most);
-            float* const slopes = changes + net.rows(1, index + 1, most);
-            run_layer<BARE>(layer, memory + net.rows(0, index, most), most, [&](int p, int j, float z) {
-                if (j >= padded(makes)) return;
-                if (index < last - 1) to[p * wide + j] = j < makes ? activated(net.activation, z) : 0.0f;
-                slopes[p * wide + j] = j >= makes ? 0.0f : index < last - 1 ? slope_of(net.activation, z) : z;
-            });
-            __syncthreads();
+            const Layer layer = layer_of(net, index, weights, SHARED);
+            float *const reads = memory + most * net.rows[index], *const makes = memory + most * net.rows[index + 1];
+            float* const slopes = changes + most * net.rows[index + 1];
+            if (index < last - 1) {
+                run_layer(layer, reads, most, kind, makes, slopes);
+            } else {
+                run_layer(layer, reads, most, -1, slopes, nullptr);
+            }
         }
         for (int p = threadIdx.x; p < most; p += NEURAL_THREADS) {
             const float* const target = targets.at + size_t(first + p) * outputs;
@@ -323,9 +336,9 @@ __device__ inline void learn_group(const Network& net, float* weights, float* su
         }
         __syncthreads();
         for (int index = last - 1; index >= 0; index--) {
-            const Layer layer = layer_of(net, index, weights, !BARE), into = layer_of(net, index, sums, !BARE);
-            pull_back<BARE>(layer, into, memory + net.rows(0, index, most), changes + net.rows(1, index + 1, most),
-                            index ? changes + net.rows(1, index, most) : nullptr, most);
+            const Layer layer = layer_of(net, index, weights, SHARED), into = layer_of(net, index, sums, SHARED);
+            pull_back(layer, into, memory + most * net.rows[index], changes + most * net.rows[index + 1],
+                      index ? changes + most * net.rows[index] : nullptr, most);
         }
     }
 }
@@ -335,21 +348,23 @@ __device__ inline void learn_group(const Network& net, float* weights, float* su
 extern "C" __global__ void __launch_bounds__(256) neural_gradients(View network, View parameters, View points,
                                                                    View targets, View partials) {
     __shared__ double errors[NEURAL_THREADS];
-    const Network net = network_of(network);
+    __shared__ Network net;
+    read_network(network, net);
     const int groups = partials.size[0], sums = partials.size[1], group = blockIdx.y;
     const long long total = points.size[0];
     float* const gradients = partials.at + size_t(group) * sums;
     const int begin = int(group * total / groups), end = int((group + 1) * total / groups);
-    const int room = shared_floats() - SLACK, space = net.space(net.layers);
+    const int room = shared_floats() - SLACK, space = net.space[net.layers];
+    const int wide = net.rows[net.layers] + net.rows[net.layers + 1] - net.rows[1];
     int most = NEURAL_POINTS;
-    while (most > 16 && net.rows(0, net.layers, most) + net.rows(1, net.layers + 1, most) > room) most /= 2;
-    const int used = net.rows(0, net.layers, most) + net.rows(1, net.layers + 1, most);
+    while (most > 16 && most * wide > room) most /= 2;
+    const int used = most * wide;
     double error = 0.0;
     if (used + 2 * space <= room) {
         float *const weights = memory + used, *const found = weights + space;
         load_layers(net, parameters.at, weights);
         for (int k = threadIdx.x; k < space; k += NEURAL_THREADS) found[k] = 0.0f;
-        learn_group<false>(net, weights, found, most, points, targets, begin, end, error);
+        learn_group<true>(net, weights, found, most, points, targets, begin, end, error);
         for (int index = 0; index < net.layers; index++) {
             const Layer from = layer_of(net, index, found, true), to = layer_of(net, index, gradients, false);
             for (int k = threadIdx.x; k < to.reads * to.makes; k += NEURAL_THREADS) {
@@ -360,13 +375,13 @@ extern "C" __global__ void __launch_bounds__(256) neural_gradients(View network,
     } else {
         for (int k = threadIdx.x; k < sums - 1; k += NEURAL_THREADS) gradients[k] = 0.0f;
         __syncthreads();
-        learn_group<true>(net, parameters.at, gradients, most, points, targets, begin, end, error);
+        learn_group<false>(net, parameters.at, gradients, most, points, targets, begin, end, error);
     }
     errors[threadIdx.x] = error;
     __syncthreads();
     if (threadIdx.x == 0) {
         for (int k = 1; k < most; k++) error += errors[k];
-        gradients[sums - 1] = float(error / (double(total) * net.size(net.layers)));
+        gradients[sums - 1] = float(error / (double(total) * net.size[net.layers]));
     }
 }
 

@@ -106,6 +106,17 @@ static void meet(int warp) {
     while (products[warp] == now) give_way();
 }
 
+static float exchanged[8][32];
+
+static float __shfl_xor_sync(unsigned, float value, int mask) {
+    const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+    exchanged[warp][lane] = value;
+    meet(warp);
+    value = exchanged[warp][lane ^ mask];
+    meet(warp);
+    return value;
+}
+
 static void add_product(float (&sums)[4], const unsigned (&left)[4], const unsigned (&right)[2]) {
     const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, g = lane / 4, q = lane % 4;
     for (int k = 0; k < 4; k++) all_left[warp][g + k % 2 * 8][q + k / 2 * 4] = shortened(left[k]);
