@@ -22,6 +22,8 @@ GROUPS, GPU_GROUPS = (256, 64), (64, 132)
 """Points of a group at least, and groups at most, on the CPU, where a thread sums a group, and on a GPU, where a block
 does."""
 DECAYS, EPSILON = (0.9, 0.999), 1e-8
+LEAST_RATE = 1e-6
+"""What `Learner.fit` ends with."""
 
 
 @dataclass(frozen=True)
@@ -231,6 +233,31 @@ class Learner:
         encoder.dispatch(self._adam, ArgumentTable(self._adam, {
             "partials": partials, "hyper": self._hyper, "parameters": self.parameters, "moments": self.moments}))
         encoder.barrier()
+
+    def fit(self, points: np.ndarray, targets: np.ndarray, steps: int, rate: float, batch: int = 8192,
+            random: np.random.Generator | None = None) -> None:
+        """Learn from batches that are drawn from known points, and wait for each.
+
+        Args:
+            points: (count, inputs) float32.
+            targets: (count, outputs) float32; a point with one that is not finite is left out.
+            rate: step size of the first batch; it falls to nearly 0 by half a cosine (Loshchilov and Hutter 2017).
+            batch: points of a batch.
+            random: draws the points; default `np.random.default_rng(0)`.
+        """
+        random = np.random.default_rng(0) if random is None else random
+        drawn = [(self.device.heap.tensor(f"{name} of a batch", (batch, every.shape[1])), every)
+                 for name, every in (("points", points), ("targets", targets))]
+        for step in range(steps):
+            self.set_rate(rate / 2 * (1 + np.cos(np.pi * step / steps)) + LEAST_RATE)
+            picked = random.integers(len(points), size=batch)
+            for tensor, every in drawn:
+                tensor.upload(every[picked])
+            commands = self.device.command_buffer("fit")
+            with commands.compute_encoder("learn") as encoder:
+                self.learn(encoder, *(tensor for tensor, _ in drawn))
+            commands.commit()
+            commands.wait()
 
     def error(self) -> float:
         """Mean squared error of the points of the last step that ran, before that step."""

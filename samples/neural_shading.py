@@ -25,7 +25,7 @@ from postfx.neural import Learner, Network
 ROOM = Path(__file__).parent / "room"
 AXES = {"right": "-x", "forward": "+z"}
 """Of Mitsuba's cameras."""
-BATCH, EMITTER = 8192, 0.005
+EMITTER = 0.005
 
 
 def reflectance_of(frame: Frame) -> np.ndarray:
@@ -64,7 +64,7 @@ parser.add_argument("--steps", type=int, default=4000)
 parser.add_argument("--threads", type=int, default=1)
 chosen = parser.parse_args()
 
-frames, random = list(postfx.read_sequence(chosen.noisy)), np.random.default_rng(0)
+frames = list(postfx.read_sequence(chosen.noisy))
 wanted = {frame.number: light_of(reference, frame) for frame, reference in
           zip(frames, postfx.read_sequence(chosen.reference), strict=True)}
 known = [frame for frame in frames if frame.number not in chosen.held_out]
@@ -81,17 +81,7 @@ targets = np.concatenate([np.log1p(wanted[frame.number] / reflectance_of(frame))
 
 device, network = Device("cpu", threads=chosen.threads), Network(9, (64, 64, 64), 3, "gelu", bands=4, encoded=3)
 learner, began = Learner(device, network, seed=0), time.process_time()
-some = device.heap.tensor("points", (BATCH, 9)), device.heap.tensor("targets", (BATCH, 3))
-for step in range(chosen.steps):
-    learner.set_rate(2e-3 * (1 + np.cos(np.pi * step / chosen.steps)) + 1e-6)
-    picked = random.integers(len(points), size=BATCH)
-    for tensor, values in zip(some, (points, targets), strict=True):
-        tensor.upload(values[picked])
-    commands = device.command_buffer("learn")
-    with commands.compute_encoder("learn") as encoder:
-        learner.learn(encoder, *some)
-    commands.commit()
-    commands.wait()
+learner.fit(points, targets, chosen.steps, 4e-3)
 print(f"{len(points)} pixels of {len(known)} frames, {network.count} parameters, learnt in "
       f"{time.process_time() - began:.0f} s of the processor")
 

@@ -174,17 +174,7 @@ for view in views_of(chosen.train, range(chosen.views)):
 every, wanted = np.concatenate(points), np.concatenate(targets)[:, None]
 network = Network(LOOK, tuple(chosen.hidden), 1, "gelu")
 learner, began = Learner(device, network, seed=0), time.process_time()
-batch = device.heap.tensor("batch", (8192, LOOK)), device.heap.tensor("wanted", (8192, 1))
-for step in range(chosen.steps):
-    learner.set_rate(1.5e-3 * (1 + np.cos(np.pi * step / chosen.steps)) + 1e-6)
-    some = random.integers(len(every), size=8192)
-    for tensor, values in zip(batch, (every, wanted), strict=True):
-        tensor.upload(values[some])
-    commands = device.command_buffer("learn")
-    with commands.compute_encoder("learn") as encoder:
-        learner.learn(encoder, *batch)
-    commands.commit()
-    commands.wait()
+learner.fit(every, wanted, chosen.steps, 3e-3, random=random)
 print(f"{len(every)} pixels, {network.count} parameters, learnt in {time.process_time() - began:.0f} s")
 
 library = tempfile.TemporaryDirectory()

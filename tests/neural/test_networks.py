@@ -240,6 +240,20 @@ def test_products_of_odd_sizes():
         np.testing.assert_allclose(asked, 1 + np.einsum("sjp,sip->ji", left, right), atol=1e-4)
 
 
+def test_fitting_learns_and_is_repeatable():
+    random = np.random.default_rng(3)
+    points = random.uniform(-1, 1, (2000, 2)).astype(np.float32)
+    targets = np.sin(3 * points[:, :1] * points[:, 1:])
+    targets[::7] = np.nan
+    found = []
+    for threads in (1, 2):
+        learner = Learner(Device("cpu", threads=threads), Network(2, (16, 16), 1, "gelu"), seed=1)
+        learner.fit(points, targets, 400, 2e-2, batch=256)
+        found.append(learner.parameters.download())
+        assert learner.error() < 0.01 < 0.1 < np.nanvar(targets)
+    np.testing.assert_array_equal(*found)
+
+
 def test_what_does_not_fit_is_told():
     for wrong, said in (((3, (200,), 3), "1 to 128"), ((3, (4,) * 5, 3), "at most 4"), ((3, (), 3, "tanh"), "'tanh'"),
                         ((3, (4,), 3, "relu", 2, 4), "there are 3 inputs")):
