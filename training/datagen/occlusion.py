@@ -19,6 +19,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from training.datagen.scenes.convert import draw_view
+
 HELD_OUT = ("bathroom", "flight-helmet", "hospital", "kaykit-dungeon", "small-house")
 RADII = 0.06, 0.125, 0.25
 """Of the median depth."""
@@ -30,7 +32,7 @@ LATTICE = 0.7548776662466927, 0.5698402909980532
 
 
 class Scene:
-    """The triangles of a converted scene, and where it is looked at from."""
+    """The triangles of a converted scene."""
 
     def __init__(self, folder: Path) -> None:
         self.facts = json.loads((folder / "scene.json").read_text())
@@ -50,22 +52,6 @@ class Scene:
         corners += [middle[0], self.low[1], middle[2]]
         faces = np.array([[0, 1, 2], [0, 2, 3]], np.uint32)
         return _mesh("ground", corners.astype(np.float32), np.tile(np.float32([[0, 1, 0]]), (4, 1)), faces)
-
-    def view(self, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """An eye and what it looks at."""
-        cameras = self.facts["cameras"]
-        if cameras and random.random() < 0.5:
-            camera = cameras[int(random.integers(len(cameras)))]
-            eye, target = np.array(camera["eye"]), np.array(camera["target"])
-            spread = np.linalg.norm(target - eye)
-            return eye + random.normal(0, 0.1, 3) * spread, target + random.normal(0, 0.2, 3) * spread
-        low, high = (np.array(corner) for corner in self.facts["inner"])
-        target = random.uniform(low, high)
-        if not self.facts["around"] or (not cameras and random.random() < 0.1):
-            return random.uniform(low, high), target
-        size, angle = np.linalg.norm(self.high - self.low), random.uniform(0, 2 * np.pi)
-        reach = np.array([np.cos(angle), random.uniform(0.1, 0.8), np.sin(angle)])
-        return target + size * random.uniform(0.15, 0.6) * reach, target
 
 
 def _mesh(name: str, vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> mi.Mesh:
@@ -168,7 +154,7 @@ def main() -> None:
         made = 0
         for attempt in range(12 * args.views):
             path = args.out / f"{folder.name}.{made}.npz"
-            eye, target = scene.view(random)
+            eye, target = draw_view(scene.facts, random, own=0.5, shift=0.1, inside=0.1)
             view = render(scene.scene, eye, target, np.tan(np.radians(random.uniform(35, 80)) / 2), args.size,
                           args.rays, attempt)
             if view is not None:

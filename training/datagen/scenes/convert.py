@@ -247,7 +247,6 @@ class _Scene:
             self.meshes = [_unpack(file, i) for i in range(len(self.facts["shapes"]))]
         images = {m["texture"] for m in self.facts["materials"] if m.get("texture")}
         self.images = {name: load_image(folder / name) for name in images}
-        self.low, self.high = (np.array(self.facts[key]) for key in ("low", "high"))
 
     def material(self, facts: dict, rng: np.random.Generator) -> Material:
         if len(self.meshes) > 8 and rng.random() < 0.15 and facts["kind"] != "dielectric":
@@ -288,9 +287,9 @@ class RealScenes:
         _light(d, scene, rng, maps)
         extent = scene.facts["metre"]
         for _ in range(int(rng.choice([0, 1, 2], p=[0.5, 0.3, 0.2]))):
-            eye, target = _view(scene, rng)
+            eye, target = draw_view(scene.facts, rng)
             add_moving(d, rng, eye + rng.uniform(0.4, 1.0) * (target - eye) - [0, 0.3 * extent, 0], extent)
-        return Draft(d, lambda r: _view(scene, r), 0.15 * extent)
+        return Draft(d, lambda r: draw_view(scene.facts, r), 0.15 * extent)
 
 
 def _light(d: Description, scene: _Scene, rng: np.random.Generator, maps: Environments) -> None:
@@ -299,24 +298,29 @@ def _light(d: Description, scene: _Scene, rng: np.random.Generator, maps: Enviro
         lights.set_environment(d, rng, maps, False, gain=float(rng.uniform(1, 5)))
     if scene.facts["indoor"] and rng.random() < 0.6:
         metre = scene.facts["metre"]
-        eye, target = _view(scene, rng)
+        eye, target = draw_view(scene.facts, rng)
         centre = eye + rng.uniform(0.2, 0.8) * (target - eye) + [0, 0.5 * metre, 0]
         lights.panel(d, rng, centre, float(rng.choice([0.3, 1.0])) * metre, rng.uniform(5, 40) * metre**2)
 
 
-def _view(scene: _Scene, rng: np.random.Generator) -> View:
-    """A pose near one of the scene's own cameras, or anywhere in its inner box."""
-    cameras = scene.facts["cameras"]
-    if cameras and rng.random() < 0.6:
+def draw_view(facts: dict, rng: np.random.Generator, own: float = 0.6, shift: float = 0.12,
+              inside: float = 0.3) -> View:
+    """A pose near one of a scene's own cameras, or anywhere in its inner box.
+
+    own: chance of the scene's cameras. shift: of the eye from them, over how far they look. inside: chance of an eye
+    within the inner box of a scene that is looked at from around it; others always have it there.
+    """
+    cameras = facts["cameras"]
+    if cameras and rng.random() < own:
         camera = cameras[int(rng.integers(len(cameras)))]
         eye, target = np.array(camera["eye"]), np.array(camera["target"])
         spread = np.linalg.norm(target - eye)
-        return eye + rng.normal(0, 0.12, 3) * spread, target + rng.normal(0, 0.2, 3) * spread
-    low, high = (np.array(corner) for corner in scene.facts["inner"])
+        return eye + rng.normal(0, shift, 3) * spread, target + rng.normal(0, 0.2, 3) * spread
+    low, high = (np.array(corner) for corner in facts["inner"])
     target = rng.uniform(low, high)
-    if not scene.facts["around"] or rng.random() < 0.3:
+    if not facts["around"] or rng.random() < inside:
         return rng.uniform(low, high), target
-    size, angle = np.linalg.norm(scene.high - scene.low), rng.uniform(0, 2 * np.pi)
+    size, angle = np.linalg.norm(np.subtract(facts["high"], facts["low"])), rng.uniform(0, 2 * np.pi)
     reach = size * rng.uniform(0.15, 0.6) * np.array([np.cos(angle), rng.uniform(0.1, 0.7), np.sin(angle)])
     return target + reach, target
 
