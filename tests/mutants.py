@@ -71,7 +71,7 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 
 ROOMS = (
-    *_kernels("features", 5, "denoise_features", "denoise_guides", "denoise_trust"),
+    *_kernels("features", 5, "denoise_features", "denoise_guides", "denoise_trust", "denoise_upsample_guided"),
     *_kernels("pyramid", 3, "denoise_pool", "denoise_mix", "denoise_filter", "denoise_remodulate"),
     *_kernels("prepare", 3, "denoise_scale", "denoise_dilate", "denoise_means", "denoise_accumulate"),
     *_kernels("network_io", 2, "denoise_pack", "denoise_open", "denoise_store", "stored"),

@@ -15,6 +15,7 @@ from postfx.kernels.denoise import DOUBT, FAINT, MAX_COLOUR, TRUST_CELL
 
 TAPS = 5
 TINY = float(layout.TINY)
+EMITTER, LEAST_TINT, ADDED = float(layout.EMITTER), float(layout.LEAST_TINT), float(layout.ADDED)
 MAX_SPAN = 4  # pixels along a line that one pixel of a picture up to 3 times smaller touches
 
 
@@ -26,12 +27,12 @@ def sanitise(values: Tensor, low: float, high: float) -> Tensor:
 def demodulation(diffuse_albedo: Tensor, specular_albedo: Tensor) -> Tensor:
     """Factor (N, 3, h, w) that colour is divided by before filtering: reflectance without dark-channel tints.
 
-    A floor of 0.15 of the largest channel keeps saturated surfaces from amplifying noise in their dark channels;
+    A floor, a share of the largest channel, keeps saturated surfaces from amplifying noise in their dark channels;
     where nothing reflects (emitters, misses) the factor is 1.
     """
-    total = sanitise(diffuse_albedo + specular_albedo, 0, 4)
+    total = sanitise(diffuse_albedo + specular_albedo, 0, float(layout.MOST_REFLECTANCE))
     peak = total.amax(1, keepdim=True)
-    return torch.where(peak < 0.005, torch.ones_like(total), torch.maximum(total, 0.15 * peak) + 0.01)
+    return torch.where(peak < EMITTER, torch.ones_like(total), torch.maximum(total, LEAST_TINT * peak) + ADDED)
 
 
 def neighbourhoods(image: Tensor, size: int, mode: str = "constant") -> Tensor:
@@ -56,7 +57,7 @@ def dilate_motion(motion: Tensor, depth: Tensor) -> Tensor:
 
 def depth_scale(depth: Tensor) -> Tensor:
     """Harmonic mean depth of all hits, (N, 1, 1, 1); 1 if there are none."""
-    hit = (depth > 0) & (depth < 1e9)
+    hit = (depth > 0) & (depth < float(layout.FARTHEST))
     near = torch.where(hit, 1 / depth.clamp(min=1e-6), torch.zeros_like(depth)).sum((1, 2, 3), keepdim=True)
     hits = hit.to(depth.dtype).sum((1, 2, 3), keepdim=True)
     return torch.where(near > 0, hits / near.clamp(min=1e-12), torch.ones_like(near))

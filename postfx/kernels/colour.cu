@@ -12,11 +12,10 @@ extern "C" __global__ void apply_cube(View colour, View params, View matrix, Vie
 
 // Colour (height, width, 3) to a display's code values: decoded if it is code values, turned by a matrix, cut, encoded.
 // params (12,), decode (4098,), encode (4098,): see postfx/kernels/colour.py.
-const float STEPS = 4096.0f, BRIGHTEST = 1e10f;
 
 // A table between its entries, at a share of it in [0, 1].
 __device__ inline float looked_up(const View& table, float share) {
-    const float place = share * STEPS;
+    const float place = share * float(STEPS);
     const int i = int(place);
     const float low = __ldg(table.at + i);
     return low + (place - i) * (__ldg(table.at + i + 1) - low);
@@ -30,8 +29,8 @@ extern "C" __global__ void encode_display(View colour, View params, View decode,
     const int width = output.size[1];
     PIXEL(width, output.size[0]);
     const float* const m = params.at;
-    const float most = m[10], exponent = m[11];
-    const bool codes = m[9] > 0.0f;
+    const float most = m[MOST], exponent = m[EXPONENT];
+    const bool codes = m[CODES] > 0.0f;
     const int here = 3 * (y * width + x);
     float in[3], light[3];
     for (int c = 0; c < 3; c++) {
@@ -40,7 +39,7 @@ extern "C" __global__ void encode_display(View colour, View params, View decode,
     }
     for (int c = 0; c < 3; c++)
         light[c] = fminf(fmaxf(m[3 * c] * in[0] + m[3 * c + 1] * in[1] + m[3 * c + 2] * in[2], 0.0f), most);
-    const float luminance = 0.2627f * light[0] + 0.6780f * light[1] + 0.0593f * light[2];
-    const float gain = exponent == 0.0f ? 1.0f : powf(fmaxf(luminance, 1e-9f), exponent);
+    const float luminance = RED * light[0] + GREEN * light[1] + BLUE * light[2];
+    const float gain = exponent == 0.0f ? 1.0f : powf(fmaxf(luminance, DARK), exponent);
     for (int c = 0; c < 3; c++) output.at[here + c] = looked_up(encode, root(fminf(light[c] * gain, 1.0f)));
 }

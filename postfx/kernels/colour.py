@@ -27,7 +27,7 @@ import numpy as np
 
 from postfx.colour import LUMA_REC2020
 from postfx.kernels import Kernel
-from postfx.kernels.numeric import Real, clamp, compiled, fused, inline
+from postfx.kernels.numeric import BRIGHTEST, Real, clamp, compiled, fused, inline
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 
@@ -81,7 +81,6 @@ def _gather(flat: np.ndarray, across: int, places: np.ndarray, shares: np.ndarra
 
 
 EXPOSURE, TOE, SCALE = 0, 1, 2  # places in `params`
-LARGEST = np.float32(1e10)  # stands for infinity
 SQRT_HALF_BITS = np.int32(0x3F3504F3)
 CUBIC, QUINTIC, SEPTIC = np.float32(1 / 3), np.float32(1 / 5), np.float32(1 / 7)
 TWO_OVER_LN2 = np.float32(2.0 / np.log(2.0))
@@ -100,8 +99,8 @@ def shape_row(row: np.ndarray, params: np.ndarray, matrix: np.ndarray, out: np.n
     br, bg, bb = matrix[6], matrix[7], matrix[8]
     red, green, blue, flat = out[0], out[1], out[2], row.reshape(row.size)
     for x in range(red.size):
-        r, g = clamp(flat[3 * x], -LARGEST, LARGEST), clamp(flat[3 * x + 1], -LARGEST, LARGEST)
-        b = clamp(flat[3 * x + 2], -LARGEST, LARGEST)
+        r, g = clamp(flat[3 * x], -BRIGHTEST, BRIGHTEST), clamp(flat[3 * x + 1], -BRIGHTEST, BRIGHTEST)
+        b = clamp(flat[3 * x + 2], -BRIGHTEST, BRIGHTEST)
         red[x] = max(rr * r + rg * g + rb * b, ZERO) * gain
         green[x] = max(gr * r + gg * g + gb * b, ZERO) * gain
         blue[x] = max(br * r + bg * g + bb * b, ZERO) * gain
@@ -158,7 +157,6 @@ APPLY_CUBE = Kernel(
 STEPS = 4096
 ROOT = 8
 CODES, MOST, EXPONENT = 9, 10, 11  # places in `params`
-MOST_LIGHT = 1e10  # light beyond counts as this much, so that infinity times zero is no NaN
 DARK = 1e-9
 COUNT = np.float32(STEPS)
 RED, GREEN, BLUE = map(np.float32, LUMA_REC2020)
@@ -176,7 +174,7 @@ def look_up(table: np.ndarray, place: Real) -> Real:
 def make_finite(value: Real) -> Real:
     """A NaN becomes 0, an infinity finite."""
     value = value if value == value else ZERO
-    return min(max(value, np.float32(-MOST_LIGHT)), np.float32(MOST_LIGHT))
+    return min(max(value, -BRIGHTEST), BRIGHTEST)
 
 
 @inline

@@ -1,6 +1,8 @@
 // What the CUDA kernels of postfx share beside view.cuh: positions and the small functions of
 // postfx/kernels/numeric.py. Constants such as MAX_COLOUR come before: postfx/runtime/cuda.py prints them.
 
+[[maybe_unused]] const float LARGEST_FLOAT = 3.402823466e38f;
+
 struct Colour {
     float r, g, b;
 };
@@ -39,6 +41,11 @@ __device__ inline int centre(int position, int size, int out_size, float& offset
     return index;
 }
 
+// What no picture can have (NaN, infinity) is no motion.
+__device__ inline float possible_motion(float value) {
+    return value > -MOST_MOTION && value < MOST_MOTION ? value : 0.0f;
+}
+
 // log(1 + x) of an exposed colour in [0, 1e4].
 __device__ inline float log_encode(float exposed) {
     return log1pf(fminf(fmaxf(0.0f, exposed), MAX_COLOUR));
@@ -47,12 +54,12 @@ __device__ inline float log_encode(float exposed) {
 // Reflectance that colour is divided by at a pixel (y, x) of albedos (h, w, 3).
 __device__ inline Colour demodulation(const View& diffuse, const View& specular, int y, int x) {
     const int at = 3 * (y * diffuse.size[1] + x);
-    const float r = clamped(diffuse.at[at] + specular.at[at], 0.0f, 4.0f);
-    const float g = clamped(diffuse.at[at + 1] + specular.at[at + 1], 0.0f, 4.0f);
-    const float b = clamped(diffuse.at[at + 2] + specular.at[at + 2], 0.0f, 4.0f);
-    const float peak = fmaxf(r, fmaxf(g, b)), floor = 0.15f * peak;
-    if (peak < 0.005f) return {1.0f, 1.0f, 1.0f};
-    return {fmaxf(r, floor) + 0.01f, fmaxf(g, floor) + 0.01f, fmaxf(b, floor) + 0.01f};
+    const float r = clamped(diffuse.at[at] + specular.at[at], 0.0f, MOST_REFLECTANCE);
+    const float g = clamped(diffuse.at[at + 1] + specular.at[at + 1], 0.0f, MOST_REFLECTANCE);
+    const float b = clamped(diffuse.at[at + 2] + specular.at[at + 2], 0.0f, MOST_REFLECTANCE);
+    const float peak = fmaxf(r, fmaxf(g, b)), floor = LEAST_TINT * peak;
+    if (peak < EMITTER) return {1.0f, 1.0f, 1.0f};
+    return {fmaxf(r, floor) + ADDED, fmaxf(g, floor) + ADDED, fmaxf(b, floor) + ADDED};
 }
 
 // Two or four neighbouring floats, read or written in one transfer.
@@ -107,7 +114,7 @@ inline unsigned short to_half(float value) {
 
 // Activations of the network's heads: of filter weights, and of shares.
 __device__ inline float weight_of(float logit) {
-    return expf(fminf(fmaxf(logit, -8.0f), 8.0f));
+    return expf(fminf(fmaxf(logit, -STEEPEST), STEEPEST));
 }
 
 __device__ inline float gate_of(float logit) {
@@ -127,8 +134,8 @@ __device__ inline Shaper shaper(const View& params, const View& matrix) {
 }
 
 __device__ inline Colour shaped(const Shaper& by, const float* colour) {
-    const float r = clamped(colour[0], -1e10f, 1e10f), g = clamped(colour[1], -1e10f, 1e10f);
-    const float b = clamped(colour[2], -1e10f, 1e10f), *const m = by.matrix;
+    const float r = clamped(colour[0], -BRIGHTEST, BRIGHTEST), g = clamped(colour[1], -BRIGHTEST, BRIGHTEST);
+    const float b = clamped(colour[2], -BRIGHTEST, BRIGHTEST), *const m = by.matrix;
     const Colour light = {fmaxf(m[0] * r + m[1] * g + m[2] * b, 0.0f) * by.gain,
                           fmaxf(m[3] * r + m[4] * g + m[5] * b, 0.0f) * by.gain,
                           fmaxf(m[6] * r + m[7] * g + m[8] * b, 0.0f) * by.gain};
@@ -336,11 +343,9 @@ __device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const Vi
     blend_history(found.colour.b, found.kept, at + 2, darken, warped, output, history);
 }
 
-[[maybe_unused]] const float LARGEST = 3.402823466e38f;
-
 // What is not finite counts as 0.
 __device__ inline float known(float value) {
-    return fabsf(value) <= LARGEST ? value : 0.0f;
+    return fabsf(value) <= LARGEST_FLOAT ? value : 0.0f;
 }
 
 struct Cubic {
@@ -364,7 +369,7 @@ __device__ inline void resampled(const View& image, int channels, const Cubic& d
 #pragma unroll
     for (int j = 0; j < 4; j++) row[j] = image.at + size_t(down.index[j]) * image.size[1] * channels;
     for (int k = 0; k < channels; k++) {
-        float sum = 0.0f, least = LARGEST, most = -LARGEST;
+        float sum = 0.0f, least = LARGEST_FLOAT, most = -LARGEST_FLOAT;
 #pragma unroll
         for (int i = 0; i < 4; i++) {
             const int at = across.index[i] * channels + k;

@@ -29,8 +29,8 @@ extern "C" __global__ void overlay_enlarge(View image, View rows, View columns, 
             low = fminf(low, own);
             high = fmaxf(high, own);
         }
-        if (fabsf(high) <= LARGEST) result[c] = fminf(result[c], high * alpha);
-        if (fabsf(low) <= LARGEST) result[c] = fmaxf(result[c], low * alpha);
+        if (fabsf(high) <= LARGEST_FLOAT) result[c] = fminf(result[c], high * alpha);
+        if (fabsf(low) <= LARGEST_FLOAT) result[c] = fmaxf(result[c], low * alpha);
     }
 }
 

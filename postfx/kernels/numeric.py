@@ -9,7 +9,10 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 from postfx.kernels.compile_cache import KernelCache
-from postfx.kernels.denoise import MAX_COLOUR
+from postfx.kernels.denoise import ADDED, EMITTER, LEAST_TINT, MAX_COLOUR, MOST_REFLECTANCE
+
+BRIGHTEST = np.float32(1e10)
+"""Light beyond counts as this much where colours are looked up, so that infinity times zero is no NaN."""
 
 Real: TypeAlias = Any
 """A number or truth value in a kernel: Numba compiles a function for the types that it is called with."""
@@ -118,15 +121,14 @@ def log_encode(exposed: Real) -> Real:
 @inline
 def demodulation(diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, y: int, x: int) -> tuple[Real, Real, Real]:
     """Reflectance that colour is divided by at a pixel: see ``training.ops.demodulation``."""
-    r = clamp(diffuse_albedo[y, x, 0] + specular_albedo[y, x, 0], np.float32(0), np.float32(4))
-    g = clamp(diffuse_albedo[y, x, 1] + specular_albedo[y, x, 1], np.float32(0), np.float32(4))
-    b = clamp(diffuse_albedo[y, x, 2] + specular_albedo[y, x, 2], np.float32(0), np.float32(4))
+    r = clamp(diffuse_albedo[y, x, 0] + specular_albedo[y, x, 0], np.float32(0), MOST_REFLECTANCE)
+    g = clamp(diffuse_albedo[y, x, 1] + specular_albedo[y, x, 1], np.float32(0), MOST_REFLECTANCE)
+    b = clamp(diffuse_albedo[y, x, 2] + specular_albedo[y, x, 2], np.float32(0), MOST_REFLECTANCE)
     peak = max(r, g, b)
-    if peak < np.float32(0.005):
+    if peak < EMITTER:
         return np.float32(1), np.float32(1), np.float32(1)
-    floor = np.float32(0.15) * peak
-    bias = np.float32(0.01)
-    return max(r, floor) + bias, max(g, floor) + bias, max(b, floor) + bias
+    floor = LEAST_TINT * peak
+    return max(r, floor) + ADDED, max(g, floor) + ADDED, max(b, floor) + ADDED
 
 
 @vectorised

@@ -1,11 +1,11 @@
 // Shaped colour averaged by area: colour (height, width, 3), params (3,), matrix (9,) -> lowres (1, 3, 256, 256).
 extern "C" __global__ void lowres(View colour, View params, View matrix, View lowres) {
-    const int side = 256, height = colour.size[0], width = colour.size[1];
-    PIXEL(side, side);
+    const int height = colour.size[0], width = colour.size[1];
+    PIXEL(SIDE, SIDE);
     const Shaper by = shaper(params, matrix);
     // Whole numbers below 2^24 over 256: exact.
-    const float top = float(y * height) / side, bottom = float((y + 1) * height) / side;
-    const float left = float(x * width) / side, right = float((x + 1) * width) / side;
+    const float top = float(y * height) / SIDE, bottom = float((y + 1) * height) / SIDE;
+    const float left = float(x * width) / SIDE, right = float((x + 1) * width) / SIDE;
     const int last_row = min(int(ceilf(bottom)), height), last_column = min(int(ceilf(right)), width);
     Colour sum = {0.0f, 0.0f, 0.0f};
     for (int j = int(top); j < last_row; j++) {
@@ -21,7 +21,7 @@ extern "C" __global__ void lowres(View colour, View params, View matrix, View lo
         sum = {sum.r + high * row.r, sum.g + high * row.g, sum.b + high * row.b};
     }
     const float share = 1.0f / ((bottom - top) * (right - left));
-    const int here = y * side + x, plane = side * side;
+    const int here = y * SIDE + x, plane = SIDE * SIDE;
     lowres.at[here] = sum.r * share;
     lowres.at[plane + here] = sum.g * share;
     lowres.at[2 * plane + here] = sum.b * share;
@@ -29,18 +29,17 @@ extern "C" __global__ void lowres(View colour, View params, View matrix, View lo
 
 // Means of rows and channels of the small copy: lowres (1, 3, 256, 256) -> light (256, 3).
 extern "C" __global__ void light(View lowres, View light) {
-    const int side = 256, channels = 3;
-    PIXEL(channels, side);
-    const float* row = lowres.at + (x * side + y) * side;
+    const int channels = 3;
+    PIXEL(channels, SIDE);
+    const float* row = lowres.at + (x * SIDE + y) * SIDE;
     double total = 0.0;
 #pragma unroll 8
-    for (int i = 0; i < side; i++) total += row[i];
-    light.at[channels * y + x] = float(total / side);
+    for (int i = 0; i < SIDE; i++) total += row[i];
+    light.at[channels * y + x] = float(total / SIDE);
 }
 
 // How much of the last grid is kept: light (256, 3), params (4,), before (1, 4) -> after (1, 4).
-// In double precision, so that nothing depends on the order of the sum.
-const double LAG = 1.0 / 4, JUMP = 1.0 / 16, RELEASE = 0.95, MOST = 1e4;  // NaN is not below MOST, either
+// In double precision, so that nothing depends on the order of the sum. NaN is not below MOST, either.
 
 extern "C" __global__ void follow(View light, View params, View before, View after) {
     const int values = light.size[0] * light.size[1];
@@ -62,7 +61,7 @@ extern "C" __global__ void follow(View light, View params, View before, View aft
 }
 
 // Exponential smoothing over time: previous, current (1, 16, 16, 8, 12), keep (1, 4) -> result (1, 16, 16, 8, 12).
-const int CELL = 8 * 12;
+const int CELL = LEVELS * COEFFICIENTS;
 
 // A thread makes as many numbers as a cell has, spread over the grid, so that neighbouring threads read neighbours.
 extern "C" __global__ void smooth(View previous, View current, View keep, View result) {
@@ -74,13 +73,13 @@ extern "C" __global__ void smooth(View previous, View current, View keep, View r
     for (int k = 0; k < CELL; k++) {
         const int at = k * cells + first;
         const float value = current.at[at], change = previous.at[at] - value;
-        result.at[at] = weight > 0.0f && fabsf(change) <= 1e4f ? value + weight * change : value;  // it may be unset
+        result.at[at] = weight > 0.0f && fabsf(change) <= BROKEN ? value + weight * change : value;  // it may be unset
     }
 }
 
 // Exposure over time: previous (3,), current (1, 1), keep (1, 4), params (3,) -> result (3,).
-// In double precision, so that the exposure of a still picture stays as it is to the bit.
-const double MOST_STOPS = 64.0;  // NaN is not below it, either
+// In double precision, so that the exposure of a still picture stays as it is to the bit. NaN is not below MOST_STOPS,
+// either.
 
 extern "C" __global__ void expose(View previous, View current, View keep, View params, View result) {
     PIXEL(1, 1);  // one thread makes all three numbers
@@ -95,7 +94,6 @@ extern "C" __global__ void expose(View previous, View current, View keep, View p
 // Slices a bilateral grid at every pixel, applies the affine colour matrix found there and looks the result up in a cube:
 // colour (height, width, 3), params (3,), matrix (9,), guide (112,), grid (1, 16, 16, 8, 12),
 // cube (size, size, size, 3) -> output (height, width, 3).
-const int KNOTS = 16, SHIFTS = 12, SLOPES = SHIFTS + 3 * KNOTS, WEIGHTS = SLOPES + 3 * KNOTS, NUMBERS = WEIGHTS + 4;
 
 // Shares of the two cells around a position along an axis.
 struct Cells {
@@ -112,9 +110,9 @@ __device__ inline Cells cells_at(float position, int count) {
 // The guide's numbers as all threads of a block read them: every slope times the weight of its channel.
 __device__ inline void read_guide(const View& guide, float* numbers) {
     const int threads = blockDim.x * blockDim.y, thread = threadIdx.y * blockDim.x + threadIdx.x;
-    for (int i = thread; i < NUMBERS; i += threads) {
-        const bool slope = i >= SLOPES && i < WEIGHTS;
-        numbers[i] = guide.at[i] * (slope ? guide.at[WEIGHTS + (i - SLOPES) / KNOTS] : 1.0f);
+    for (int i = thread; i < GUIDE_SIZE; i += threads) {
+        const bool slope = i >= SLOPES && i < MIX;
+        numbers[i] = guide.at[i] * (slope ? guide.at[MIX + (i - SLOPES) / KNOTS] : 1.0f);
     }
     __syncthreads();
 }
@@ -122,7 +120,7 @@ __device__ inline void read_guide(const View& guide, float* numbers) {
 // Level of a shaped colour in the grid, 0..1 before the clip: a sum of ramps over each channel of a matrix's result.
 __device__ inline float level_of(const Colour& colour, const Four* numbers) {
     const float* const scalars = &numbers->x;
-    float level = scalars[NUMBERS - 1];
+    float level = scalars[GUIDE_SIZE - 1];
 #pragma unroll
     for (int c = 0; c < 3; c++) {
         const float value = scalars[3 * c] * colour.r + scalars[3 * c + 1] * colour.g + scalars[3 * c + 2] * colour.b
@@ -147,7 +145,7 @@ __device__ inline float applied(const Four& row, const Colour& colour) {
 
 extern "C" __global__ void slice_apply(View colour, View params, View matrix, View guide, View grid, View cube,
                                        View output) {
-    __shared__ Four numbers[NUMBERS / 4];
+    __shared__ Four numbers[GUIDE_SIZE / 4];
     read_guide(guide, &numbers->x);
     const int height = output.size[0], width = output.size[1];
     PIXEL(width, height);

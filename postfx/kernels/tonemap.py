@@ -110,10 +110,9 @@ LIGHT = Kernel(
 )
 
 
-LAG, JUMP = 1 / 4, 1 / 16
+LAG, JUMP = np.float64(1 / 4), np.float64(1 / 16)
 """Stops: a camera that crossed a staircase in 8 frames moved the mean by 0.17, by no more than 0.04 in a frame."""
-RELEASE = 0.95
-MOST = 1e4
+RELEASE, MOST = np.float64(0.95), np.float64(1e4)
 """Stops between two lights that cannot be, as is NaN: there is no past, then."""
 
 
@@ -145,7 +144,8 @@ FOLLOW = Kernel(
 )
 
 
-GRID = (1, 16, 16, 8, 12)
+LEVELS, COEFFICIENTS = 8, 12
+GRID = (1, 16, 16, LEVELS, COEFFICIENTS)
 BROKEN = np.float32(1e4)
 """Change beyond that of any grid, as is NaN: there `previous` counts for nothing."""
 
@@ -176,7 +176,7 @@ SMOOTH = Kernel(
 )
 
 
-MOST_STOPS = 64.0
+MOST_STOPS = np.float64(64)
 """Stops between two exposures that cannot be, as is NaN: there `previous` counts for nothing."""
 
 
@@ -210,7 +210,6 @@ EXPOSE = Kernel(
 KNOTS = 16
 GUIDE_SIZE = 9 + 3 + 6 * KNOTS + 3 + 1
 SHIFTS, SLOPES, MIX, MIX_BIAS = 12, 12 + 3 * KNOTS, 12 + 6 * KNOTS, GUIDE_SIZE - 1
-COEFFICIENTS = 12
 ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 
 
@@ -342,7 +341,7 @@ SLICE_APPLY = Kernel(
         "params": (3,),
         "matrix": (9,),
         "guide": (GUIDE_SIZE,),
-        "grid": (1, 16, 16, 8, COEFFICIENTS),
+        "grid": GRID,
         "cube": ("size", "size", "size", 3),
         "output": ("height", "width", 3),
     },

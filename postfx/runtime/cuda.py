@@ -12,9 +12,10 @@ import itertools
 import re
 import sys
 import threading
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -372,17 +373,9 @@ def check_result(result: tuple[Any, ...]) -> Any:
 
 SOURCES = Path(layout.__file__).resolve().parent.parent
 _KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\(\w+\) )?(\w+)\(')
-_LAYOUT = (
-    "HIDDEN", "KERNEL", "TAP_WEIGHTS", "BLEND", "SHARPEN", "MIX", "DISTRUST", "IMPORTANCE", "MEMORY", "FINE",
-    "PLANE_TRUST",
-    "EXPOSURE", "JITTER_X", "JITTER_Y", "GAIN",
-    "TOP", "LEFT", "HEIGHT", "WIDTH", "OUT_TOP", "OUT_LEFT", "OUT_HEIGHT", "OUT_WIDTH",
-    "TRUST_CELL", "DOUBT", "FAINT", "MAX_COLOUR", "MAX_LIGHT", "TINY", "MAX_COUNT", "MAX_DEPTH", "MAX_FLOAT",
-    "MOST_LOG", "MOST_STATE",
-)
-CONSTANTS: dict[str, int | float | np.float32] = {
-    name: getattr(layout, name) for name in _LAYOUT}
-"""Numbers that CUDA kernels take from Python, by name."""
+_NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
+_TYPES = {int: "int", np.float64: "double"}
+"""Of constants in CUDA, by that in Python; all others are float."""
 
 
 def find_source(kernel: Kernel) -> Path | None:
@@ -393,16 +386,32 @@ def find_source(kernel: Kernel) -> Path | None:
 def read_source(family: Path) -> str:
     """The source that is compiled for a file of kernels: the declaration of arguments, for our own kernels also the
     constants and the code that all families share, and the file."""
-    is_own = family.is_relative_to(SOURCES)
-    shared = print_constants() + (SOURCES / "common.cuh").read_text() if is_own else ""
-    return (SOURCES / "view.cuh").read_text() + shared + family.read_text()
+    view, own = (SOURCES / "view.cuh").read_text(), family.read_text()
+    if not family.is_relative_to(SOURCES):
+        return view + own
+    source = (SOURCES / "common.cuh").read_text() + own
+    return view + print_constants(constants_of(family, source)) + source
 
 
-def print_constants() -> str:
-    """The constants in CUDA: whole numbers as an enum, others as float."""
-    whole = [f"{name} = {value}" for name, value in CONSTANTS.items() if isinstance(value, int)]
-    floats = [f"{name} = {float(value)!r}f" for name, value in CONSTANTS.items() if not isinstance(value, int)]
-    return f"enum {{ {', '.join(whole)} }};\n[[maybe_unused]] const float {', '.join(floats)};\n"
+def constants_of(family: Path, source: str) -> dict[str, Any]:
+    """Numbers of Python that a source of ours names, by name: those of the module beside its file, those that the
+    upscaler's kernels share, and those of `postfx.kernels.numeric`. A pair NAME of a low and a high number is NAME_LOW
+    and NAME_HIGH."""
+    module = ".".join(("postfx.kernels", *family.relative_to(SOURCES).with_suffix("").parts))
+    known: dict[str, Any] = vars(import_module("postfx.kernels.numeric")) | vars(layout) | vars(import_module(module))
+    pairs = {f"{name}_{end}": value[at] for name, value in known.items() if isinstance(value, tuple) and len(value) == 2
+             for at, end in enumerate(("LOW", "HIGH"))}
+    found = {name: (known | pairs).get(name) for name in dict.fromkeys(_NAME.findall(source))}
+    return {name: value for name, value in found.items() if isinstance(value, int | float | np.number)}
+
+
+def print_constants(constants: Mapping[str, Any]) -> str:
+    """The constants in CUDA."""
+    lines = []
+    for name, value in constants.items():
+        kind = _TYPES.get(type(value), "float")
+        lines.append(f"[[maybe_unused]] const {kind} {name} = {value!s}{'f' if kind == 'float' else ''};\n")
+    return "".join(lines)
 
 
 @cache

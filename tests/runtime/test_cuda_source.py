@@ -3,23 +3,43 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from postfx.runtime.cuda import CONSTANTS, SOURCES, print_constants
+from postfx.kernels import denoise as layout
+from postfx.kernels.denoise import history, output
+from postfx.runtime.cuda import SOURCES, constants_of, print_constants, read_source
+
+FAMILIES = sorted(SOURCES.rglob("*.cu"))
 
 
-def test_printed_constants_have_the_values_of_python():
-    found = dict(re.findall(r"(\w+) = ([^,; ]+)", print_constants()))
-    assert found.keys() == CONSTANTS.keys()
-    for name, text in found.items():
-        assert np.float32(text.removesuffix("f")) == np.float32(CONSTANTS[name])
-        assert text.endswith("f") != isinstance(CONSTANTS[name], int)
+def constants(path: Path) -> dict[str, int | float]:
+    return constants_of(path, (SOURCES / "common.cuh").read_text() + path.read_text())
 
 
-@pytest.mark.parametrize("path", sorted((*SOURCES.rglob("*.cu"), *SOURCES.rglob("*.cuh"))), ids=lambda path: path.name)
-def test_no_source_defines_them_again(path):
-    defined = re.findall(r"^(?:\[\[maybe_unused\]\] )?(?:enum|const \w+) .*", path.read_text(), re.M)
-    again = {name for line in defined for name in re.findall(r"\b([A-Z_\d]+)\b(?= [=,}]|[,;])", line)}
-    assert not again & CONSTANTS.keys()
+def test_constants_are_those_of_the_module_beside_the_file_and_of_the_layout() -> None:
+    found = constants(SOURCES / "denoise/history.cu")
+    assert (found["ROUGHEST"], found["MAX_COLOUR"]) == (history.ROUGHEST, layout.MAX_COLOUR)
+    low, high = output.STRUCTURE
+    found = constants(SOURCES / "denoise/output.cu")
+    assert (found["STRUCTURE_LOW"], found["STRUCTURE_HIGH"], found["TILE"]) == (low, high, output.TILE)
+
+
+@pytest.mark.parametrize("path", FAMILIES, ids=lambda path: path.name)
+def test_printed_constants_have_the_values_of_python(path: Path) -> None:
+    known = constants(path)
+    found = re.findall(r"const (int|float|double) (\w+) = (\S+?)f?;", print_constants(known))
+    assert [name for _, name, _ in found] == list(known)
+    for kind, name, text in found:
+        exact = {"int": int, "float": np.float32, "double": np.float64}[kind]
+        assert exact(text) == exact(known[name]) and (kind == "int") == isinstance(known[name], int)
+
+
+@pytest.mark.parametrize("path", FAMILIES, ids=lambda path: path.name)
+def test_no_source_defines_them_again(path: Path) -> None:
+    lines = re.findall(r"^(?:\[\[maybe_unused\]\] )?(?:enum|const \w+) .*", read_source(path), re.M)
+    defined = [name for line in lines for name in
+               re.findall(r"\b[A-Z][A-Z_\d]+\b" + (r"(?= =)" if line.startswith(("const", "[")) else ""), line)]
+    assert len(defined) == len(set(defined)) and set(constants(path)) <= set(defined)

@@ -8,16 +8,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from postfx.kernels.denoise import MOST_MOTION
 from postfx.kernels.denoise import history as layout
 from postfx.kernels.denoise.history import SPREAD
 from postfx.kernels.denoise.output import (
     CLEAN,
     COUNT,
     DARK,
-    FAINT,
     FILTERED,
     FIRST,
     HELD_POWER,
+    INVISIBLE,
     LAGS,
     LIMIT,
     LOUD,
@@ -144,9 +145,10 @@ class Reflections(nn.Module):
 
     def forward(self, motion: Tensor, depth: Tensor, normal: Tensor, roughness: Tensor, diffuse_albedo: Tensor,
                 specular_albedo: Tensor, hit_distance: Tensor, camera: Tensor) -> Tensor:
-        own = torch.where(motion.abs() < 1e5, motion, torch.zeros_like(motion))
+        own = torch.where(motion.abs() < float(MOST_MOTION), motion, torch.zeros_like(motion))
         share = (ops.sanitise(specular_albedo, 0, 1) - ops.sanitise(diffuse_albedo, 0, 1)).sum(-1, keepdim=True)
-        chosen = (share > 0) & (roughness <= layout.ROUGHEST) & (hit_distance > 0) & (depth > 0) & (depth < layout.FAR)
+        chosen = (share > 0) & (roughness <= layout.ROUGHEST) & (hit_distance > 0)
+        chosen = chosen & (depth > 0) & (depth < layout.FARTHEST)
         rays = self._rays(depth, camera)
         still, _ = self._motion(camera, rays, 1 / depth)
         most = layout.STILL + layout.PART * own.abs().amax(-1, keepdim=True)
@@ -171,7 +173,7 @@ class Reflections(nn.Module):
         then = rays[..., :1] * turn[0] + rays[..., 1:] * turn[1] + turn[2]
         then = then + camera[layout.SHIFT:layout.WORLD] * nearness
         ahead = then[..., 2:]
-        at = then[..., :2] / ahead.clamp(min=float(layout.NEAR))
+        at = then[..., :2] / ahead.clamp(min=float(layout.NEAREST))
         return at * camera[layout.FOCAL_THEN:layout.JITTER] - rays * camera[layout.FOCAL:layout.FOCAL_THEN], ahead
 
     def _inverse_distance(self, hit_distance: Tensor, depth: Tensor) -> Pair:
@@ -179,7 +181,7 @@ class Reflections(nn.Module):
         distance, z = around(hit_distance), around(depth)
         counts = (distance > 0) & ((z - depth[..., None]).abs() <= layout.STEP * depth[..., None])
         counts &= self._in_picture(depth) > 0
-        each = torch.where(counts, 1 / distance.clamp(min=float(layout.NEAR)), torch.zeros_like(distance))
+        each = torch.where(counts, 1 / distance.clamp(min=float(layout.NEAREST)), torch.zeros_like(distance))
         count = counts.to(depth.dtype).sum(-1)
         return each.sum(-1) / count.clamp(min=1), count > 0
 
@@ -245,7 +247,7 @@ class Detail(nn.Module):
         mean = sums[..., POWER].sum() / sums[..., COUNT].sum()
         filtered = ramp(torch.log(mean + TINY), math.log(FILTERED[0]), math.log(FILTERED[1]))
         structure = (found - filtered * common).square().sum(-1) - SPREAD_NOISE * len(LAGS) / spread[..., COUNT]
-        faint = ramp(-torch.log(power + TINY), -math.log(FAINT[1]), -math.log(FAINT[0]))
+        faint = ramp(-torch.log(power + TINY), -math.log(INVISIBLE[1]), -math.log(INVISIBLE[0]))
         quiet = ramp(-torch.log(mean + TINY), -math.log(LOUD[1]), -math.log(LOUD[0])) * evidence.clamp(max=1)
         own = torch.maximum(ramp(torch.sqrt(structure.clamp(min=0)), *STRUCTURE), faint) * quiet
         clean = ramp((own * weight).sum() / total * evidence, *CLEAN)

@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 from postfx.colour import LUMA_REC2020
-from postfx.kernels.colour import DARK, MOST_LIGHT, STEPS
+from postfx.kernels.colour import BRIGHTEST, DARK, STEPS
 from training.tonemap import model as network
 from training.tonemap.model import Shaper, look_up, shape
 
@@ -18,7 +18,7 @@ def to_image(colour: torch.Tensor) -> torch.Tensor:
 
 def make_finite(colour: torch.Tensor) -> torch.Tensor:
     """NaN becomes 0, infinities finite."""
-    return torch.where(colour == colour, colour, torch.zeros_like(colour)).clamp(-MOST_LIGHT, MOST_LIGHT)
+    return torch.where(colour == colour, colour, torch.zeros_like(colour)).clamp(-float(BRIGHTEST), float(BRIGHTEST))
 
 
 def look_up_code(table: torch.Tensor, share: torch.Tensor) -> torch.Tensor:

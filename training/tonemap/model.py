@@ -337,7 +337,7 @@ def follow(light: torch.Tensor, params: torch.Tensor, before: torch.Tensor) -> t
     lag, jump = (made_for - now).abs(), (last - now).abs()
     known = (past > 0) & (lag <= MOST) & (jump <= MOST) & (share.abs() <= 1)
     change = (torch.maximum(lag / LAG, jump / JUMP) - 1).clamp(0, 1)
-    share = torch.maximum(torch.maximum(most * change, RELEASE * share), 1 - keep)
+    share = torch.maximum(torch.maximum(most * change, float(RELEASE) * share), 1 - keep)
     kept, none = 1 - share, torch.zeros_like(now)
     followed = torch.stack([kept, now + kept * (made_for - now), now, share])
     return torch.where(known, followed, torch.stack([none, now, now, none]))[None].to(light.dtype)

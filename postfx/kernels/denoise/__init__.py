@@ -20,8 +20,8 @@ level's cells begin, -1 before its first, ``coarse_rows`` and ``coarse_columns``
 pixels lie. ``factor`` is the reflectance that colour is divided and multiplied by, ``means`` its mean in cells of 8x8
 pixels of the frame, from the cell before the part's first row and column on; (1, 1, 3) where planes are not doubted.
 
-Numbers are defined here once: `postfx.runtime.cuda` prints them for the CUDA kernels, and training imports them,
-also on machines without Numba.
+Numbers that several files use are defined here, others in the file of their kernel, each once: `postfx.runtime.cuda`
+prints them for the CUDA kernels, and training imports them, those here also on machines without Numba.
 """
 
 from collections.abc import Callable
@@ -31,6 +31,7 @@ import numpy as np
 from postfx.kernels import Kernel
 
 HIDDEN = 8
+STATE = 4 + HIDDEN
 FEATURES = 27 + HIDDEN
 KERNEL, PHASES = 25, 9 * 4
 """Channels of a 5x5 filter kernel, and of 3x3 weights at four phases."""
@@ -53,11 +54,21 @@ MAX_COUNT = 32.0
 MAX_COLOUR, MAX_LIGHT = 1e4, np.float32(1e30)
 """Exposed light that a channel holds, and that a division by reflectance may give before it is held: a pixel that is
 brighter keeps its hue."""
+STEEPEST = np.float32(8)  # logarithm of the largest weight of a filter, and minus that of the smallest
 TINY = np.float32(1e-8)  # the smallest sum of weights that counts
 MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
+MOST_MOTION = np.float32(1e5)  # pixels a frame, more than a picture can have
+NEAREST, FARTHEST = np.float32(1e-6), np.float32(1e9)
+"""Depth that counts as hit; a miss is farther, 1e10."""
 MOST_LOG, MOST_STATE = np.float32(20), np.float32(3e5)
 """Limits of log-encoded light and of all of a pixel's state, which are never reached from frame to frame. Beyond them
 the history or the network's answer is broken and is not passed on. NaN is not below them, either."""
+
+MOST_REFLECTANCE, EMITTER = np.float32(4), np.float32(0.005)
+"""What both albedos of a channel reflect at most, and the reflectance below which a pixel gives light of its own."""
+LEAST_TINT, ADDED = np.float32(0.15), np.float32(0.01)
+"""Of the largest channel: what every channel reflects at least; and what is added to all, so that nothing is divided
+by 0."""
 
 REFLECTANCE = ("diffuse_albedo", "specular_albedo")
 PLANES = {
@@ -78,9 +89,9 @@ SHAPES = PLANES | GUIDE_PLANES | {
     "depth_scale": (1,), "moved": ("th", "tw", 2), "history": ("height", "width", 3), "warped": ("out_th", "out_tw", 3),
     "params": (4,), "window": (8,), "part_rows": ("th",), "part_columns": ("tw",),
     "seen_rows": ("hp",), "seen_columns": ("wp",), "out_rows": ("out_th",), "out_columns": ("out_tw",),
-    "state": ("h", "w", 4 + HIDDEN), "last_depth": ("h", "w", 1), "past": ("th", "tw", 4),
+    "state": ("h", "w", STATE), "last_depth": ("h", "w", 1), "past": ("th", "tw", 4),
     "keep": ("keep_h", "keep_w", 1), "features": (1, FEATURES, "hp", "wp"), "fine": (1, FINE, "hp", "wp"),
-    "next_state": ("th", "tw", 4 + HIDDEN), "next_depth": ("th", "tw", 1), "level": (4, "hp", "wp"),
+    "next_state": ("th", "tw", STATE), "next_depth": ("th", "tw", 1), "level": (4, "hp", "wp"),
     "finer": ("3*parts", "finer_h", "finer_w"), "finer_importance": (1, "finer_h", "finer_w"),
     "importance": (1, "hp", "wp"), "finer_rows": ("hp",), "finer_columns": ("wp",),
     "coarse": ("3*parts", "coarse_h", "coarse_w"), "coarse_rows": ("hp",), "coarse_columns": ("wp",),

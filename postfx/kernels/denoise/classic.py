@@ -19,7 +19,6 @@ from postfx.kernels.denoise import (
     EXPOSURE,
     GAIN,
     HEIGHT,
-    HIDDEN,
     JITTER_X,
     JITTER_Y,
     LEFT,
@@ -31,6 +30,7 @@ from postfx.kernels.denoise import (
     MOST_LOG,
     MOST_STATE,
     REFLECTANCE,
+    STATE,
     TINY,
     TOP,
     WIDTH,
@@ -42,7 +42,6 @@ from postfx.kernels.denoise.upsample import gauss, pixel_of, place, weigh_picked
 from postfx.kernels.numeric import Real, add, clamp, compiled, demodulation, exp, expm1, fused, log_encode
 
 ZERO, QUARTER, HALF, ONE, FOUR = np.float32(0), np.float32(0.25), np.float32(0.5), np.float32(1), np.float32(4)
-MEMORY = 4 + HIDDEN
 STEPS = (1, 2, 4, 8, 16)
 """Distances of the taps, pass by pass."""
 LEAST_SHARE = np.float32(1 / 5)
@@ -85,7 +84,7 @@ def gather_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.ndarray
     rows, columns = min(th, h - top), min(tw, w - left)
     under, beside = top + th < h, left + tw < w
     at = np.arange(left, left + columns)
-    memory, before = np.empty((MEMORY, columns), np.float32), np.ones(columns, np.float32)
+    memory, before = np.empty((STATE, columns), np.float32), np.ones(columns, np.float32)
     valid, share = np.empty(columns, np.float32), np.empty(columns, np.float32)
     near, depths = np.empty((3, w + 2), np.float32), depth.reshape(h, w)
     for y in range(y0, y1):

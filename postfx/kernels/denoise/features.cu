@@ -31,7 +31,7 @@ __device__ inline Four scaled(const Four& value, float by) {
 // Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their weights.
 __device__ inline bool is_unknown(float a, float b, float c, float d, float tx, float ty) {
     const float lacking = between(a <= 0.0f, b <= 0.0f, c <= 0.0f, d <= 0.0f, tx, ty);
-    return lacking > 1e-3f;
+    return lacking > UNKNOWN;
 }
 
 __device__ inline Recalled recall(const View& state, const View& last_depth, float px, float py, float share) {
@@ -99,7 +99,7 @@ __device__ inline float encoded_now(float value, float exposure, float share) {
 
 // The change of depth since the frame before.
 __device__ inline float depth_change(float before, float depth) {
-    const float ratio = clamped(before, 1e-6f, MAX_DEPTH) / fmaxf(depth, 1e-6f);
+    const float ratio = clamped(before, NEAREST, MAX_DEPTH) / fmaxf(depth, NEAREST);
     return fminf(fmaxf(4.0f * logf(ratio), -1.0f), 1.0f);
 }
 

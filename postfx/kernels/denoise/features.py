@@ -26,11 +26,13 @@ from postfx.kernels.denoise import (
     MAX_COUNT,
     MAX_DEPTH,
     MAX_FLOAT,
+    NEAREST,
     OUT_HEIGHT,
     OUT_LEFT,
     OUT_TOP,
     OUT_WIDTH,
     REFLECTANCE,
+    STATE,
     TOP,
     TRUST_CELL,
     UNKNOWN,
@@ -54,9 +56,7 @@ from postfx.kernels.numeric import (
     mix_four,
 )
 
-MEMORY = 4 + HIDDEN
 ZERO, HALF, ONE, TWO, FOUR = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(4)
-NEAREST = np.float32(1e-6)
 
 
 @fused
@@ -81,7 +81,7 @@ def recall_row(y: int, columns: np.ndarray, moved: np.ndarray, state: np.ndarray
     history is used: it scales validity, count and hidden state, not the mean colour.
     """
     h, w = state.shape[:2]
-    flat = state.reshape(h * w * MEMORY)
+    flat = state.reshape(h * w * STATE)
     for x in range(columns.size):
         px, py = np.float32(columns[x]) + moved[x, 0], np.float32(y) + moved[x, 1]
         held = -0.5 <= px <= w - 0.5 and -0.5 <= py <= h - 0.5
@@ -94,8 +94,8 @@ def recall_row(y: int, columns: np.ndarray, moved: np.ndarray, state: np.ndarray
         px, py = min(max(px, ZERO), np.float32(w - 1)), min(max(py, ZERO), np.float32(h - 1))
         x0, y0 = int(px), int(py)
         tx, ty = px - np.float32(x0), py - np.float32(y0)
-        right, below = MEMORY * (min(x0 + 1, w - 1) - x0), MEMORY * w * (min(y0 + 1, h - 1) - y0)
-        at = np.uint64((y0 * w + x0) * MEMORY)
+        right, below = STATE * (min(x0 + 1, w - 1) - x0), STATE * w * (min(y0 + 1, h - 1) - y0)
+        at = np.uint64((y0 * w + x0) * STATE)
         to_right, to_below, across = np.uint64(right), np.uint64(below), np.uint64(right + below)
         count = at + np.uint64(3)
         if is_unknown(flat[count], flat[count + to_right], flat[count + to_below], flat[count + across], tx, ty):
@@ -209,7 +209,7 @@ def feature_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.ndarra
     columns = np.arange(first, first + count)
     left = np.array([x * width // w - before_left for x in columns])
     right = np.array([-(-(x + 1) * width // w) - before_left for x in columns])
-    memory, mean = np.empty((MEMORY, count), np.float32), np.empty((3, count), np.float32)
+    memory, mean = np.empty((STATE, count), np.float32), np.empty((3, count), np.float32)
     factor, before = np.empty((3, count), np.float32), np.ones(count, np.float32)
     valid, share = np.empty(count, np.float32), np.empty(count, np.float32)
     total = np.empty(3 * warped.shape[1], np.float32)

@@ -67,16 +67,14 @@ extern "C" __global__ void denoise_history(View history, View moved, View params
 // roughness (h, w, 1), diffuse_albedo and specular_albedo (h, w, 3), hit_distance (h, w, 1), camera (27,) ->
 // reflected (h, w, 2). Sources are given in postfx/kernels/denoise/history.py.
 
-enum { FOCAL = 0, FOCAL_THEN = 2, SHIFTED = 4, TURN = 6, SHIFT = 15, WORLD = 18 };
-
 struct Vector {
     float x, y, z;
 };
 
 // Direction through a pixel's sample, 1 along the view axis.
 __device__ inline Pair ray_of(const float* camera, int height, int width, int y, int x) {
-    return {(float(x) + 0.5f + camera[SHIFTED] - 0.5f * float(width)) / camera[FOCAL],
-            (float(y) + 0.5f + camera[SHIFTED + 1] - 0.5f * float(height)) / camera[FOCAL + 1]};
+    return {(float(x) + 0.5f + camera[JITTER] - 0.5f * float(width)) / camera[FOCAL],
+            (float(y) + 0.5f + camera[JITTER + 1] - 0.5f * float(height)) / camera[FOCAL + 1]};
 }
 
 // Motion of a point at rest on a ray, at 1 / nearness along the view axis, and its z then over that now.
@@ -85,7 +83,7 @@ __device__ inline Vector motion_at(const float* camera, const Pair& ray, float n
     const float* shift = camera + SHIFT;
     const float x = ray.x * turn[0] + ray.y * turn[3] + turn[6] + shift[0] * nearness;
     const float y = ray.x * turn[1] + ray.y * turn[4] + turn[7] + shift[1] * nearness;
-    const float z = ray.x * turn[2] + ray.y * turn[5] + turn[8] + shift[2] * nearness, ahead = fmaxf(z, 1e-6f);
+    const float z = ray.x * turn[2] + ray.y * turn[5] + turn[8] + shift[2] * nearness, ahead = fmaxf(z, NEAREST);
     return {x / ahead * camera[FOCAL_THEN] - ray.x * camera[FOCAL],
             y / ahead * camera[FOCAL_THEN + 1] - ray.y * camera[FOCAL + 1], z};
 }
@@ -115,8 +113,8 @@ __device__ inline float inverse_distance(const View& hit_distance, const View& d
         for (int i = max(0, x - 1); i < min(w, x + 2); i++) {
             const size_t pixel = size_t(j) * w + i;
             const float distance = hit_distance.at[pixel];
-            if (!(distance > 0.0f && fabsf(depth.at[pixel] - z) <= 0.1f * z)) continue;
-            total += 1.0f / fmaxf(distance, 1e-6f);
+            if (!(distance > 0.0f && fabsf(depth.at[pixel] - z) <= STEP * z)) continue;
+            total += 1.0f / fmaxf(distance, NEAREST);
             count++;
         }
     return count ? total / float(count) : -1.0f;
@@ -136,7 +134,7 @@ __device__ inline float curvature(const View& normal, const View& depth, const f
             const size_t pixel = size_t(j) * w + i;
             const Vector n = unit(normal, pixel);
             const float there = depth.at[pixel];
-            if (!(fabsf(there - z) <= 0.1f * z && dot(n, here) >= 0.9f)) return -1.0f;
+            if (!(fabsf(there - z) <= STEP * z && dot(n, here) >= BEND)) return -1.0f;
             const Pair ray = ray_of(camera, h, w, j, i);
             place[side] = {ray.x * there, ray.y * there, there};
             facing[side] = {n.x * world[0] + n.y * world[3] + n.z * world[6],
@@ -154,11 +152,7 @@ __device__ inline bool reflects(const View& diffuse, const View& specular, const
     float share = 0.0f;
     for (int c = 0; c < 3; c++)
         share += clamped(specular.at[3 * pixel + c], 0.0f, 1.0f) - clamped(diffuse.at[3 * pixel + c], 0.0f, 1.0f);
-    return share > 0.0f && roughness.at[pixel] <= 0.3f;
-}
-
-__device__ inline float plausible(float value) {
-    return value > -1e5f && value < 1e5f ? value : 0.0f;
+    return share > 0.0f && roughness.at[pixel] <= ROUGHEST;
 }
 
 extern "C" __global__ void denoise_reflections(View motion, View depth, View normal, View roughness,
@@ -167,15 +161,15 @@ extern "C" __global__ void denoise_reflections(View motion, View depth, View nor
     const int h = depth.size[0], w = depth.size[1];
     PIXEL(w, h);
     const size_t pixel = size_t(y) * w + x;
-    const Pair stored = pair(motion, pixel), own = {plausible(stored.x), plausible(stored.y)};
+    const Pair stored = pair(motion, pixel), own = {possible_motion(stored.x), possible_motion(stored.y)};
     pair(reflected, pixel) = own;
     const float z = depth.at[pixel];
-    if (!(hit_distance.at[pixel] > 0.0f && z > 0.0f && z < 1e9f) ||
+    if (!(hit_distance.at[pixel] > 0.0f && z > 0.0f && z < FARTHEST) ||
         !reflects(diffuse_albedo, specular_albedo, roughness, pixel))
         return;
     const Pair ray = ray_of(camera.at, h, w, y, x);
     const Vector still = motion_at(camera.at, ray, 1.0f / z);
-    const float most = 0.25f + 0.05f * fmaxf(fabsf(own.x), fabsf(own.y));
+    const float most = STILL + PART * fmaxf(fabsf(own.x), fabsf(own.y));
     if (!(fabsf(still.x - own.x) <= most && fabsf(still.y - own.y) <= most)) return;
     const float bend = curvature(normal, depth, camera.at, y, x), mean = inverse_distance(hit_distance, depth, y, x);
     if (bend < 0.0f || mean < 0.0f) return;

@@ -22,7 +22,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.denoise import GAIN, HEIGHT, HIDDEN, LEFT, MAX_COLOUR, MAX_FLOAT, TOP, WIDTH, kernel
+from postfx.kernels.denoise import (
+    FARTHEST,
+    GAIN,
+    HEIGHT,
+    LEFT,
+    MAX_COLOUR,
+    MAX_FLOAT,
+    NEAREST,
+    STATE,
+    TOP,
+    WIDTH,
+    kernel,
+)
 from postfx.kernels.denoise.prepare import finite
 from postfx.kernels.numeric import (
     Four,
@@ -42,7 +54,6 @@ from postfx.kernels.numeric import (
 )
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
-STATE = 4 + HIDDEN
 
 
 @compiled
@@ -228,7 +239,6 @@ STEP, BEND = np.float32(0.1), np.float32(0.9)
 """Most relative difference in depth of neighbours on one surface, and least cosine between their normals."""
 STILL, PART = np.float32(0.25), np.float32(0.05)
 """Pixels, and share of the motion, by which the motion of a surface at rest may differ from the camera's."""
-FAR, NEAR = np.float32(1e9), np.float32(1e-6)
 
 
 @inline
@@ -254,7 +264,7 @@ def motion_at(camera: np.ndarray, rx: Real, ry: Real, nearness: Real) -> tuple[R
     qx = rx * camera[TURN] + ry * camera[TURN + 3] + camera[TURN + 6] + camera[SHIFT] * nearness
     qy = rx * camera[TURN + 1] + ry * camera[TURN + 4] + camera[TURN + 7] + camera[SHIFT + 1] * nearness
     qz = rx * camera[TURN + 2] + ry * camera[TURN + 5] + camera[TURN + 8] + camera[SHIFT + 2] * nearness
-    ahead = max(qz, NEAR)
+    ahead = max(qz, NEAREST)
     return (qx / ahead * camera[FOCAL_THEN] - rx * camera[FOCAL],
             qy / ahead * camera[FOCAL_THEN + 1] - ry * camera[FOCAL + 1], qz)
 
@@ -276,7 +286,7 @@ def inverse_distance(hit_distance: np.ndarray, depth: np.ndarray, y: int, x: int
         for i in range(max(0, x - 1), min(depth.shape[1], x + 2)):
             distance = hit_distance[j, i, 0]
             if distance > ZERO and abs(depth[j, i, 0] - z) <= STEP * z:
-                total += ONE / max(distance, NEAR)
+                total += ONE / max(distance, NEAREST)
                 count += 1
     return total / np.float32(count) if count else -ONE
 
@@ -326,7 +336,7 @@ def reflection_rows(y0: int, y1: int, motion: np.ndarray, depth: np.ndarray, nor
         for x in range(w):
             mx, my, z = finite(motion[y, x, 0]), finite(motion[y, x, 1]), depth[y, x, 0]
             reflected[y, x, 0], reflected[y, x, 1] = mx, my
-            if not (hit_distance[y, x, 0] > ZERO and ZERO < z < FAR
+            if not (hit_distance[y, x, 0] > ZERO and ZERO < z < FARTHEST
                     and reflects(diffuse_albedo, specular_albedo, roughness, y, x)):
                 continue
             rx, ry = ray(camera, h, w, y, x)

@@ -24,12 +24,11 @@ from __future__ import annotations
 import numpy as np
 
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, kernel
+from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, STEEPEST, kernel
 from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, vectorised
 
 LANES = 8
 LEVEL = KERNEL + 1
-STEEPEST = np.float32(8)
 FINE_PHASES = 4
 
 

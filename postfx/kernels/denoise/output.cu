@@ -1,6 +1,6 @@
 // Sums over what was removed in tiles of 16x16: colour, denoised (h, w, 3), params (4,) -> sums (tiles_high,
 // tiles_wide, 11): pixels, power, power once held, products at 8 lags. Blocks stride over rows of 8 tiles.
-const int TILE = 16, GROUP = 8, LAGS = 8, SUMS = 3 + LAGS;
+const int GROUP = 8, LAGS = SUMS - FIRST;
 const int PITCH = TILE + 1;  // rows begin in different banks
 
 // Exposed luminance of a pixel, within what the network sees.
@@ -13,7 +13,7 @@ __device__ inline float light_of(const float* pixel, float exposure) {
 
 // What was removed as it is seen: times the slope of sqrt(y / (1 + y)) at the result, within [-1, 1].
 __device__ inline float removed_at(const float* noisy, const float* denoised, float exposure) {
-    const float clean = light_of(denoised, exposure), seen = fmaxf(clean, 1e-3f);
+    const float clean = light_of(denoised, exposure), seen = fmaxf(clean, DARK);
     const float slope = 0.5f / (sqrtf(seen * (1.0f + seen)) * (1.0f + seen));
     return fminf(fmaxf((light_of(noisy, exposure) - clean) * slope, -1.0f), 1.0f);
 }
@@ -99,29 +99,28 @@ extern "C" __global__ void denoise_judge(View colour, View denoised, View params
             if (tile_x + tile >= tiles_wide) continue;
             const float all = sum_of_rows(power[tile]);
             float found[1 + LAGS];
-            sum_row(removed[tile] + row * PITCH, row, 3.0f * sqrtf(all / count), found);  // fireflies are held there
+            sum_row(removed[tile] + row * PITCH, row, LIMIT * sqrtf(all / count), found);  // fireflies are held there
 #pragma unroll
             for (int k = 0; k <= LAGS; k++) rows[tile][k][row] = found[k];
             if (row > 0) continue;
             float* const result = sums.at + (tile_y * tiles_wide + tile_x + tile) * SUMS;
-            result[0] = count;
-            result[1] = all;
+            result[COUNT] = count;
+            result[POWER] = all;
         }
         __syncthreads();
         for (int i = thread; i < GROUP * (1 + LAGS); i += threads) {
             const int tile = i / (1 + LAGS), k = i % (1 + LAGS);
             if (tile_x + tile < tiles_wide)
-                sums.at[(tile_y * tiles_wide + tile_x + tile) * SUMS + 2 + k] = sum_of_rows(rows[tile][k]);
+                sums.at[(tile_y * tiles_wide + tile_x + tile) * SUMS + HELD_POWER + k] = sum_of_rows(rows[tile][k]);
         }
     }
 }
 
 // Share of each tile's difference to give back: sums (tiles_high, tiles_wide, 11), evidence (1,) -> detail (tiles_high,
 // tiles_wide, 1). What the frame has in common needs all tiles, so the first block strides over them and others end.
-const int NEAR = 6, TOTALS = 3 + NEAR;  // near: lags that a pixel filter reaches
+const int TOTALS = 3 + NEAR;
 const int HIGH = 8, WIDE = 32, AREA_PITCH = (WIDE + 2) * SUMS;  // tiles that are read at once, and a border of one
 const int MOST_THREADS = 1024;
-const float LEAST = 1e-12f, LN10 = 2.302585093f;
 
 struct Tile {
     float power, noise, correlation[LAGS];
@@ -151,10 +150,10 @@ __device__ inline Tile gather(const float* tile) {
         spread[k] = 4.0f * at[0] + 2.0f * (at[-SUMS] + at[SUMS] + at[-AREA_PITCH] + at[AREA_PITCH])
             + (at[-AREA_PITCH - SUMS] + at[-AREA_PITCH + SUMS] + at[AREA_PITCH - SUMS] + at[AREA_PITCH + SUMS]);
     }
-    Tile found = {spread[1] / spread[0], 2.25f * LAGS / spread[0], {}};
-    const float scale = 1.0f / (spread[2] + LEAST);
+    Tile found = {spread[POWER] / spread[COUNT], SPREAD_NOISE * LAGS / spread[COUNT], {}};
+    const float scale = 1.0f / (spread[HELD_POWER] + TINY_POWER);
 #pragma unroll
-    for (int k = 0; k < LAGS; k++) found.correlation[k] = spread[3 + k] * scale;
+    for (int k = 0; k < LAGS; k++) found.correlation[k] = spread[FIRST + k] * scale;
     return found;
 }
 
@@ -166,8 +165,8 @@ __device__ inline float detail_of(const Tile& tile, const float common[NEAR]) {
         const float own = tile.correlation[k] - (k < NEAR ? common[k] : 0.0f);
         structure += own * own;
     }
-    const float faint = ramp(-logf(tile.power + LEAST), 5.6f * LN10, 6.4f * LN10);
-    return fmaxf(ramp(sqrtf(fmaxf(structure, 0.0f)), 0.45f, 0.8f), faint);
+    const float faint = ramp(-logf(tile.power + TINY_POWER), -logf(INVISIBLE_HIGH), -logf(INVISIBLE_LOW));
+    return fmaxf(ramp(sqrtf(fmaxf(structure, 0.0f)), STRUCTURE_LOW, STRUCTURE_HIGH), faint);
 }
 
 // Sum over all threads of the block, in a fixed order.
@@ -206,9 +205,9 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS) denoise_detail(View s
     }
 #pragma unroll
     for (int k = 0; k < TOTALS; k++) totals[k] = block_sum(totals[k], partial, thread, threads);
-    const float power = totals[0] / totals[1], total = totals[2] + LEAST, loud = logf(power + LEAST);
-    const float filtered = ramp(loud, -4.2f * LN10, -3.5f * LN10);
-    const float quiet = ramp(-loud, 1.4f * LN10, 1.8f * LN10) * fminf(evidence.at[0], 1.0f);
+    const float power = totals[0] / totals[1], total = totals[2] + TINY_POWER, loud = logf(power + TINY_POWER);
+    const float filtered = ramp(loud, logf(FILTERED_LOW), logf(FILTERED_HIGH));
+    const float quiet = ramp(-loud, -logf(LOUD_HIGH), -logf(LOUD_LOW)) * fminf(evidence.at[0], 1.0f);
     float common[NEAR], share = 0.0f;
 #pragma unroll
     for (int k = 0; k < NEAR; k++) common[k] = filtered * fmaxf(totals[3 + k] / total, 0.0f);
@@ -227,7 +226,7 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS) denoise_detail(View s
         }
     }
     share = block_sum(share, partial, thread, threads) / total;
-    const float clean = ramp(share * evidence.at[0], 0.35f, 0.55f);
+    const float clean = ramp(share * evidence.at[0], CLEAN_LOW, CLEAN_HIGH);
     for (int i = thread; i < height * width; i += threads) detail.at[i] += (1.0f - detail.at[i]) * clean;
 }
 
@@ -240,7 +239,7 @@ struct Between {
 
 // The tile before a pixel, the one after it, and how far the pixel lies between their centres.
 __device__ inline Between tiles_at(int position, int count) {
-    const float at = fminf(fmaxf((position + 0.5f) * (1.0f / 16) - 0.5f, 0.0f), float(count - 1));
+    const float at = fminf(fmaxf((position + 0.5f) * (1.0f / TILE) - 0.5f, 0.0f), float(count - 1));
     const int first = int(at);
     return {first, min(first + 1, count - 1), at - first};
 }
@@ -273,10 +272,10 @@ extern "C" __global__ void denoise_assemble(View tiles, View places, View frame_
     const int v = int(frame_rows.at[y]), u = int(frame_columns.at[x]), channels = picture.size[2];
     int owner = -1;
     for (int i = tiles.size[0] - 1; i >= 0; i--)
-        if (is_within(places.at + 10 * i + 2, v, u)) owner = i;
+        if (is_within(places.at + PLACE * i + HELD, v, u)) owner = i;
     for (int i = tiles.size[0] - 1; i >= 0; i--)
-        if (is_within(places.at + 10 * i + 6, v, u)) owner = i;
-    const float* const place = places.at + 10 * max(owner, 0);
+        if (is_within(places.at + PLACE * i + OWN, v, u)) owner = i;
+    const float* const place = places.at + PLACE * max(owner, 0);
     const size_t row = size_t(max(owner, 0)) * tiles.size[1] + (v - int(place[0]));
     const float* const from = tiles.at + (row * tiles.size[2] + (u - int(place[1]))) * channels;
     float* const to = picture.at + (size_t(y) * picture.size[1] + x) * channels;
@@ -327,11 +326,11 @@ extern "C" __global__ void denoise_correct(View filtered, View part, View motion
     }
     mean /= 9.0f;
     const float structure = fmaxf(square / 9.0f - mean * mean, 0.0f);
-    const float noise = gain.at[2] * fmaxf(mean * (1.0f - mean), 0.0f);
+    const float noise = gain.at[NOISE] * fmaxf(mean * (1.0f - mean), 0.0f);
     const size_t pixel = size_t(at_y) * w + at_x;
     const Pair moves = pair(motion, pixel);
-    const bool still = fabsf(moves.x) < 1.0f / 64.0f && fabsf(moves.y) < 1.0f / 64.0f;
-    const float share = gain.at[still ? 1 : 0] * structure / (structure + noise + 1e-6f);
+    const bool still = fabsf(moves.x) < LEAST_MOTION && fabsf(moves.y) < LEAST_MOTION;
+    const float share = gain.at[still ? STILL : MOVING] * structure / (structure + noise + LEAST_STRUCTURE);
     const float lack = share * (clamped(part.at[3 * pixel], 0.0f, 1.0f) - here);
     float* const to = corrected.at + 3 * (size_t(y) * width + x);
     to[0] = to[1] = to[2] = clamped(filtered.at[3 * (size_t(y) * width + x)] + lack, 0.0f, 1.0f);

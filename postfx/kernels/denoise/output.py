@@ -34,12 +34,12 @@ SUMS = FIRST + len(LAGS)
 LIMIT = 3.0  # times a tile's root mean square: larger differences, such as fireflies, are clamped to it
 DARK = 1e-3  # exposed luminance below which smaller differences are no more visible
 STRUCTURE = (0.45, 0.8)  # root of the summed squares of the correlations, from noise to detail
-FAINT = (10**-6.4, 10**-5.6)  # mean square of the visible difference, from invisible to visible
+INVISIBLE = (10**-6.4, 10**-5.6)  # mean square of the visible difference, from invisible to visible
 CLEAN = (0.35, 0.55)  # share of detail in what was removed from the frame, from noisy to clean
 FILTERED = (10**-4.2, 10**-3.5)  # mean square of the frame, from too little to enough for filtered noise
 LOUD = (10**-1.8, 10**-1.4)  # the same, from possibly clean to certainly noisy
 SPREAD_NOISE = 2.25  # squares of the weights 1 2 1 by 1 2 1, summed, over their sum: how noisy a spread tile is
-ZERO, ONE, TINY = np.float32(0), np.float32(1), np.float32(1e-12)
+ZERO, ONE, TINY_POWER = np.float32(0), np.float32(1), np.float32(1e-12)
 
 
 @inline
@@ -132,7 +132,7 @@ def gather(y: int, x: int, sums: np.ndarray, spread: np.ndarray, found: np.ndarr
     found[0] = spread[POWER] / spread[COUNT]
     found[1] = np.float32(SPREAD_NOISE * len(LAGS)) / spread[COUNT]
     for k in range(len(LAGS)):
-        found[2 + k] = spread[FIRST + k] / (spread[HELD_POWER] + TINY)
+        found[2 + k] = spread[FIRST + k] / (spread[HELD_POWER] + TINY_POWER)
 
 
 @compiled
@@ -142,7 +142,7 @@ def detail_of(found: np.ndarray, common: np.ndarray) -> Real:
     for k in range(len(LAGS)):
         own = found[2 + k] - common[k]
         structure += own * own
-    faint = ramp(-np.log(found[0] + TINY), -math.log(FAINT[1]), -math.log(FAINT[0]))
+    faint = ramp(-np.log(found[0] + TINY_POWER), -math.log(INVISIBLE[1]), -math.log(INVISIBLE[0]))
     return max(ramp(np.sqrt(max(structure, ZERO)), STRUCTURE[0], STRUCTURE[1]), faint)
 
 
@@ -162,8 +162,8 @@ def detail_rows(y0: int, y1: int, sums: np.ndarray, evidence: np.ndarray, detail
             weight[y, x] = np.sqrt(found[y, x, 0]) * sums[y, x, COUNT]
             total += weight[y, x]
     power = sums[:, :, POWER].sum() / sums[:, :, COUNT].sum()
-    filtered = ramp(np.log(power + TINY), math.log(FILTERED[0]), math.log(FILTERED[1]))
-    quiet = ramp(-np.log(power + TINY), -math.log(LOUD[1]), -math.log(LOUD[0])) * min(evidence[0], ONE)
+    filtered = ramp(np.log(power + TINY_POWER), math.log(FILTERED[0]), math.log(FILTERED[1]))
+    quiet = ramp(-np.log(power + TINY_POWER), -math.log(LOUD[1]), -math.log(LOUD[0])) * min(evidence[0], ONE)
     for k in range(NEAR):
         common[k] = filtered * max((weight * found[:, :, 2 + k]).sum() / total, 0.0)
     share = 0.0
@@ -277,7 +277,7 @@ STRENGTH = kernel("strength", ("denoised", "plain", "strength", "amount"), ("out
 MOVING, STILL, NOISE = range(3)
 """Of ``gain``: how much of what alpha lacks it gets in a frame, where things move and where not, and the variance of a
 pixel's samples over alpha (1 - alpha)."""
-LEAST_MOTION, FAINTEST = np.float32(1 / 64), np.float32(1e-6)
+LEAST_MOTION, LEAST_STRUCTURE = np.float32(1 / 64), np.float32(1e-6)
 """Render pixels that count as motion, and the smallest variance that is structure."""
 
 
@@ -318,7 +318,7 @@ def lacking_row(at: int, part: np.ndarray, motion: np.ndarray, means: np.ndarray
         structure = max(square / np.float32(9) - mean * mean, ZERO)
         noise = gain[NOISE] * max(mean * (ONE - mean), ZERO)
         still = abs(motion[at, x, 0]) < LEAST_MOTION and abs(motion[at, x, 1]) < LEAST_MOTION
-        share = gain[STILL if still else MOVING] * structure / (structure + noise + FAINTEST)
+        share = gain[STILL if still else MOVING] * structure / (structure + noise + LEAST_STRUCTURE)
         lack[x] = share * (clamp(part[at, x, 0], ZERO, ONE) - means[at % 3, x])
 
 

@@ -101,8 +101,8 @@ extern "C" __global__ void denoise_balance(View parts, View reached, View whole,
     for (int c = 0; c < 3; c++) {
         float total = 0.0f;
         for (int k = 0; k < count; k++) total += parts.at[k * stride + pixel + c] * cover[size_t(k) * h * w];
-        const float dark = alone ? fmaxf(1e-30f - total, 0.0f) : 0.0f;
-        const float light = alone ? total + count * dark : fmaxf(fmaxf(total, whole.at[pixel + c]), 1e-30f);
+        const float dark = alone ? fmaxf(DARKEST - total, 0.0f) : 0.0f;
+        const float light = alone ? total + count * dark : fmaxf(fmaxf(total, whole.at[pixel + c]), DARKEST);
         const float ratio = picture.at[pixel + c] / light;
         for (int k = 0; k < count; k++) {
             const size_t at = k * stride + pixel + c;
@@ -121,7 +121,7 @@ __device__ inline void decode(const View& filtered, const View& decoding, const 
     if (by[4] < 0.0f) {
         for (int c = 0; c < channels; c++) {
             const float covered = filtered.at[3 * pixel + 1];
-            const float distance = fminf(fmaxf(covered / fmaxf(filtered.at[3 * pixel], 1e-30f), by[2]), by[3]);
+            const float distance = fminf(fmaxf(covered / fmaxf(filtered.at[3 * pixel], DARKEST), by[2]), by[3]);
             to[c] = covered >= 0.5f ? distance * by[0] : by[1];
         }
         return;

@@ -1,13 +1,13 @@
 // Harmonic mean depth of what was hit, 1 where nothing was: depth (h, w, 1) -> depth_scale (1,). One block.
 __device__ inline bool is_hit(float z) {
-    return z > 0.0f && z < 1e9f;
+    return z > 0.0f && z < FARTHEST;
 }
 
 // Sum of 1 / z over four depths; a product of fractions needs one division, and 4 factors of 1e-6 to 1e9 stay normal.
 __device__ inline float nearness(const Four& depth) {
     const bool a = is_hit(depth.x), b = is_hit(depth.y), c = is_hit(depth.z), d = is_hit(depth.w);
-    const float p = a ? fmaxf(depth.x, 1e-6f) : 1.0f, q = b ? fmaxf(depth.y, 1e-6f) : 1.0f;
-    const float r = c ? fmaxf(depth.z, 1e-6f) : 1.0f, s = d ? fmaxf(depth.w, 1e-6f) : 1.0f;
+    const float p = a ? fmaxf(depth.x, NEAREST) : 1.0f, q = b ? fmaxf(depth.y, NEAREST) : 1.0f;
+    const float r = c ? fmaxf(depth.z, NEAREST) : 1.0f, s = d ? fmaxf(depth.w, NEAREST) : 1.0f;
     const float left = (a ? q : 0.0f) + (b ? p : 0.0f), right = (c ? s : 0.0f) + (d ? r : 0.0f);
     return (left * (r * s) + right * (p * q)) / ((p * q) * (r * s));
 }
@@ -54,17 +54,12 @@ extern "C" __global__ void __launch_bounds__(1024) denoise_scale(View depth, Vie
 // Motion of a clearly nearer neighbour in 3x3, else its own: motion (h, w, 2), depth (h, w, 1), part_rows (th,),
 // part_columns (tw,) -> moved (th, tw, 2).
 
-// What no picture can have (NaN, infinity) is no motion.
-__device__ inline float possible_motion(float value) {
-    return value > -1e5f && value < 1e5f ? value : 0.0f;
-}
-
 extern "C" __global__ void denoise_dilate(View motion, View depth, View part_rows, View part_columns,
                                           View moved) {
     PIXEL(moved.size[1], moved.size[0]);
     const int height = depth.size[0], width = depth.size[1];
     const int v = int(part_rows.at[y]), u = int(part_columns.at[x]), here = v * width + u;
-    float near = depth.at[here] * 0.9f;
+    float near = depth.at[here] * CLEARLY;
     int at = here;
 #pragma unroll
     for (int j = -1; j <= 1; j++) {

@@ -1,7 +1,7 @@
 """Kernels that prepare what the network and its filters read.
 
-They compute the scale of depth, spread motion over edges, average reflectance in cells, weight what accumulates over
-time, resize what one frame leaves to the next, and warp the last output to where its pixels are now.
+They compute the scale of depth, spread motion over edges, average reflectance in cells, and weight what accumulates
+over time.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from postfx.kernels.denoise import (
     BORDER_CELLS,
     DISTRUST,
     EXPOSURE,
+    FARTHEST,
     HIDDEN,
     IMPORTANCE,
     LEFT,
@@ -20,7 +21,9 @@ from postfx.kernels.denoise import (
     MAX_FLOAT,
     MAX_LIGHT,
     MEMORY,
+    MOST_MOTION,
     MOST_STATE,
+    NEAREST,
     PLANE_TRUST,
     REFLECTANCE,
     TOP,
@@ -37,7 +40,8 @@ from postfx.kernels.numeric import (
 )
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
-NEAREST, FARTHEST, MOST_MOTION = np.float32(1e-6), np.float32(1e9), np.float32(1e5)
+CLEARLY = np.float32(0.9)
+"""Share of a pixel's depth below which a neighbour is clearly nearer."""
 
 
 @summed
@@ -78,7 +82,7 @@ def dilate_row(y: int, left: int, depth: np.ndarray, lines: np.ndarray, near: np
     for j in range(max(y - 1, 0), min(y + 2, h)):
         lines[j - y + 1, 1 - before:1 + count + after] = depth[j, left - before:left + count + after]
     for x in range(count):
-        near[x], found[x] = lines[1, x + 1] * np.float32(0.9), 0
+        near[x], found[x] = lines[1, x + 1] * CLEARLY, 0
     for j in range(3):
         for i in range(3):
             nearer(lines[j, i:], np.int32((j - 1) * w + i - 1), near, found)
