@@ -130,13 +130,15 @@ def seen(eye: np.ndarray, rays: np.ndarray, frame: float) -> tuple[np.ndarray, .
 
 
 def render(
-    number: int, width: int, height: int, samples: int, jitter: np.ndarray | None, seed: int | None = None
+    number: int, width: int, height: int, samples: int, jitter: np.ndarray | None, seed: int | None = None,
+    floor: float | None = None,
 ) -> postfx.Frame:
     """One frame with all planes. Without jitter the samples are spread over the pixel, and the planes of the last stay.
 
     Frame 1 is the first of the shot, so it is marked as a cut. Without a seed the number is the seed of the noise.
+    `floor` makes the floor a metal of this roughness, and adds the plane of hit distances.
     """
-    rng, colour = np.random.default_rng(number if seed is None else seed), 0
+    rng, colour, nearness = np.random.default_rng(number if seed is None else seed), 0, 0
     projection = integrate.perspective(FOV, width, height)
     clip, clip_before = camera(number) @ projection, camera(number - 1) @ projection
     for _ in range(samples):
@@ -147,12 +149,18 @@ def render(
         points = start + np.where(hit, distance, 0) * ways
         normals, base, metallic = surface(points, ids, number)
         cosine = dot(unit(-ways), normals)
-        rough = np.where(metallic > 0, COPPER_ROUGHNESS, 1.0)
+        polished = (ids == FLOOR)[..., None] & (floor is not None)
+        metallic = np.where(polished, 1.0, metallic)
+        gloss = np.where(polished, floor or 0.0, COPPER_ROUGHNESS)
+        rough = np.where(metallic > 0, gloss, 1.0)
         f0 = np.where(metallic > 0, integrate.f0_of(base, metallic), 0.0)
         specular = integrate.specular_albedo(f0, rough, cosine)
         diffuse = integrate.diffuse_albedo(base, metallic)
-        facet = unit(normals + COPPER_ROUGHNESS**2 * on_sphere(rng, rays.shape[:-1]))
+        facet = unit(normals + gloss**2 * on_sphere(rng, rays.shape[:-1]))
         glossy = shaded(points + 1e-3 * normals, reflected(ways, facet), number, rng)
+        if floor is not None:  # the mirror's planes show what it reflects, so it has no hit distance
+            away = trace(points + 1e-3 * normals, unit(reflected(ways, facet)), number)[0]
+            nearness = nearness + np.where(hit & (metallic > 0) & ~mirrored, 1 / away, 0) / samples
         lit = diffuse * light_at(points, normals, number, rng) + specular * glossy
         colour = colour + np.where(hit, lit, sky(ways)) / samples
     before = integrate.rigid_previous_positions(points, ids, {BALL: ball(number)}, {BALL: ball(number - 1)})
@@ -171,6 +179,8 @@ def render(
         Role.DEPTH: np.where(hit[..., 0], integrate.depth_of(virtual, clip), 1e10)[..., None],
         Role.MOTION: integrate.motion_from_positions(*homogeneous, clip, clip_before),
     }
+    if floor is not None:
+        planes[Role.SPECULAR_HIT_DISTANCE] = np.where(nearness > 0, 1 / np.maximum(nearness, 1e-10), 0)
     return postfx.Frame(
         planes, number, (0.0, 0.0) if jitter is None else tuple(jitter), reset=number == 1, samples=samples,
         world_to_camera=camera(number), fov_x=FOV,

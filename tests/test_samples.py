@@ -257,11 +257,31 @@ def test_what_the_ray_caster_writes_is_right(tmp_path):
     assert not any(detector(frame) for frame in postfx.read_sequence(tmp_path / "noisy.####.exr"))
 
 
+def cells(table: str) -> list[list[str]]:
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+
+
+def test_reflections_are_better_with_their_hit_distance():
+    printed = run("reflections.py", "--size", "96x54", "--frames", "4", "--judged", "4", "--roughness", "0.05",
+                  "--reference-samples", "16", "--models", "s")
+    ((_, _, alone, surface, hit, rest),) = cells(printed)
+    assert float(hit) > float(surface) + 0.2 and float(surface) > float(alone) and abs(float(rest)) < 0.2
+
+
+@pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="postfx-render[bench] is not installed")
+def test_history_brings_detail_that_no_frame_holds():
+    found = {name: list(map(float, re.findall(r"-?[0-9.]+", albedo)))
+             for name, albedo, *_ in cells(run("detail.py", "--frames", "2", "--models", "s"))}
+    share, match = (lambda name: found[name][1]), (lambda name: found[name][2])
+    assert share("all samples kept") > 0.5 > 0.25 > share("perfect + cubic")
+    assert match("postfx s") > match("perfect + cubic") > match("postfx s, alone")
+
+
 def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
              "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py", "time_model.py",
-             "neural_material.py", "neural_shading.py", "display.py"}
+             "neural_material.py", "neural_shading.py", "display.py", "reflections.py", "detail.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Show the defaults of 'postfx run' that files named postfx.toml set, and where each comes from. The nearest such file
 counts, in this folder or above. Below it count the user's and the machine's own; 'postfx config' names their places.
-The variable POSTFX_CONFIG names one file to read in place of all these; empty, it stands for none.
+The variable POSTFX_CONFIG names one file to read in place of all these. If it is empty, none is read.
 
 A file holds options of 'postfx run' without their dashes:
 
@@ -26,8 +26,8 @@ A file holds options of 'postfx run' without their dashes:
   compression = "dwaa:45"
   overwrite = true
 
-Options on the command line come first, then its --preset, then the files. A default that does not go with an option
-that you give is left out. Options that belong to one command, such as --output or --frames, cannot be set here; nor can
+Options on the command line come first, then its --preset, then the files. A default that conflicts with an option that
+you give is left out. Options that belong to one command, such as --output or --frames, cannot be set here; nor can
 --provider, which may load a library.
 """
 EXAMPLES = """\

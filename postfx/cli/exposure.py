@@ -75,16 +75,16 @@ EXPOSURE = Options(Section("", (
     INPUT,
     Option(flag="--frames", metavar="RANGE", help="frames to measure, e.g. 1-100"),
     Option(flag="--exposure", metavar=MODES, default="auto",
-           help="what is under test, as for 'postfx run' (default: auto)"),
+           help="exposure to test, as for 'postfx run' (default: auto)"),
     Option(flag="--reference", metavar=MODES, default="smooth",
-           help="what would be right (default: smooth, metered on the pictures); give an EV or metadata where the "
-           "exposure is an author's choice"),
+           help="the right exposure (default: smooth, metered on the pictures); give an EV or metadata if the exposure "
+           "is an artist's choice"),
     Option(flag="--tonemap", metavar="TAG", either="look", help="look of the tone mapper (default: as 'postfx run')"),
     Option(flag="--no-tonemap", either="look", help="only expose, clip and encode"),
     Option(flag="--graded", metavar="FRAMES",
-           help="what became of the boards of 'POSTFX_EXPOSURE_TOOL=1 postfx run' of INPUT with the same --exposure, "
-           "numbered alike: PNG, TIFF, JPEG or EXR"),
-    Option(flag="--response", metavar="FILE", help="what your tone mapper made of the chart: with --graded",
+           help="the boards of 'POSTFX_EXPOSURE_TOOL=1 postfx run' on INPUT with the same --exposure, after your "
+           "chain, numbered alike: PNG, TIFF, JPEG or EXR"),
+    Option(flag="--response", metavar="FILE", help="the chart after your tone mapper; needs --graded",
            needs={"--graded": "--response tells how --graded frames are read: give both"}),
     Option(flag="--chart", metavar="EXR",
            help="write a chart of greys, from 8 stops below mid grey to 8 above, for your tone mapper at 0 EV, and "

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from postfx.cli.options import Option, Options, Section, parse_from_zero
+from postfx.cli.options import Option, Options, Section, parse_from_zero, parse_positive
 from postfx.cli.run_options import DEPTH, FILES, INPUT, RUN, parse_cuts
 
 if TYPE_CHECKING:
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from postfx.io.writer import OutputFiles
 
 DESCRIPTION = """\
-Make frames at times between the frames of a sequence: twice as many, or to another frame rate. Motion vectors and depth
-lead each pixel from both frames to the new time; without vectors, motion is estimated from the pictures. Light stays
+Make new frames between those of a sequence: twice as many, or for another frame rate. Motion vectors and depth lead
+each pixel from both frames to the new time; without vectors, motion is estimated from the pictures. Light stays
 scene-linear: interpolate renders or denoised frames, before tone mapping.
 
-The new sequence is numbered on from the first frame's number. Frame rate and time code in the headers follow. Across a
-cut, and where nothing changes, the nearer frame is repeated; where a frame is missing, there are no new ones beside it.
-Both are told, with the reason.
+The new sequence is numbered from the first frame's number on. Frame rate and time code in the headers follow. Across a
+cut, and where nothing changes, the nearer frame is repeated. Beside a missing frame there are no new ones. Both cases
+are reported with the reason.
 """
 EXAMPLES = """\
 examples:
@@ -74,28 +74,29 @@ INTERPOLATE = Options(Section("", (
     Option(flag="--times", metavar="N|T,...",
            help="how many times as many frames, or times between two frames, e.g. 0.25,0.5 (default: 2)"),
     Option(flag="--fps", metavar="OLD[:NEW]",
-           help="frame rates, e.g. 24:60; the old one alone for headers that do not tell it"),
+           help="frame rates, e.g. 24:60; the old one alone if the headers lack it"),
     Option(flag="--frames", metavar="RANGE", help="frames to use, e.g. 1-100"),
     Option(flag="--shutter", metavar="DEGREES", type=_parse_shutter, default=0.0,
-           help="blur what moves as a shutter that is open for so much of 360 degrees of a new frame, for renders "
-           f"without motion blur: the mean of {SAMPLES} times (default: 0, none)"),
+           help="add motion blur to renders that have none: how long the shutter is open, where 360 is all of a new "
+           f"frame; the mean of {SAMPLES} times (default: 0, none)"),
     Option(flag="--planes",
            help="write depth, motion, normals, reflectances and Cryptomattes of all frames, too, so that passes after "
            "this one can use them; the files hold floats"),
     Option(flag="--no-flow",
-           help="where there are motion vectors, do not estimate motion as well: faster, but shadows and reflections "
-           "are only faded over"),
+           help="do not estimate motion if there are motion vectors: faster, but shadows and reflections are only "
+           "cross-faded"),
     Option(flag="--overlay", choices=("mix", "hold"), default="mix",
            help="between frames, mix the overlay's layer, or keep that of the frame before (default: mix)"),
     Option(flag="--composited",
-           help="the overlay's layer is in the picture, too: take it out first, and put it over the result"),
+           help="the picture already includes the overlay's layer: remove it first, and composite it over the result"),
     Option(flag="--overlays", metavar="FRAMES", is_file=True,
-           excludes={"--composited": "--overlays are put over pictures that have none yet: leave --composited out"},
-           help="overlays of all frames of OUTPUT, numbered like it: they are put over the pictures"),
+           excludes={"--composited": "--overlays are composited over pictures without one: leave --composited out"},
+           help="overlays for all frames of OUTPUT, numbered like it, to composite over the pictures"),
     Option(flag="--reference", metavar="FRAMES", is_file=True,
-           help="rendered frames, numbered like OUTPUT: tell the PSNR of each new frame that is among them"),
+           help="rendered frames, numbered like OUTPUT: print the PSNR of each new frame that was also rendered"),
     Option(flag="--overwrite", help="replace output files that are there"),
-    RUN["--bits"],
+    Option(flag="--bits", metavar="N", type=parse_positive, sets="writer.bits",
+           help="bits of a channel: 16 (half floats, default) or 32 (floats, default with --planes)"),
     RUN["--compression"],
     RUN["--profile"],
     DEPTH,

@@ -13,9 +13,9 @@ DESCRIPTION = """\
 Write the global part of a look as a 3-D look-up table (.cube) that OpenColorIO, DaVinci Resolve, Nuke and others read.
 It takes ACEScct and gives code values of --display. Apply the exposure before it.
 
-A look that decides by the whole picture, as networks do, gives another table for other pictures: this is the mean over
-INPUT, of every other frame. What that costs is measured on the other frames (on the same one where there is only one),
-printed and written in the file.
+A network's look depends on the whole picture, so other pictures give another table. This one is the mean over every
+other frame of INPUT. Its error is measured on the remaining frames (on the same one if there is only one), printed and
+written into the file.
 """
 EXAMPLES = """\
 examples:

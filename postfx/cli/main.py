@@ -99,7 +99,7 @@ def make_parser(used: Collection[str] = tuple(VERBS)) -> argparse.ArgumentParser
     )
     parser.add_argument("--version", action="version", version=f"postfx {__version__}")
     parser.add_argument("--completion", metavar="SHELL", choices=SHELLS, action=_Completion,
-                        help=f"print what completes commands in {', '.join(SHELLS[:-1])} or {SHELLS[-1]}")
+                        help=f"print a script that completes commands in {', '.join(SHELLS[:-1])} or {SHELLS[-1]}")
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
     for name, summary in VERBS.items():
         added = verbs.add_parser(name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter)

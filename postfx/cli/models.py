@@ -8,8 +8,8 @@ from typing import Any
 
 DESCRIPTION = """\
 List the models that are installed, with what their cards say. --model TAG takes PASS.TAG.int8 (integers) on a CPU and
-PASS.TAG.fp16 (half precision) on a GPU, where there are such, else PASS.TAG; --model TAG.fp32 takes PASS.TAG. Variants
-.guides are taken by themselves when there are planes at output size, variants .1x where that is the render size."""
+PASS.TAG.fp16 (half precision) on a GPU if they exist, else PASS.TAG; --model TAG.fp32 takes PASS.TAG. Variants .guides
+run whenever there are planes at output size, and variants .1x whenever the output has the render's size."""
 EXAMPLES = """\
 examples:
   postfx models

@@ -69,7 +69,7 @@ FRAMES = Section("frames", (
     Option(flag="--overwrite", basic=True, either="existing", changes="nothing",
            help="replace output files that are there"),
     Option(flag="--skip-existing", basic=True, either="existing", changes="nothing",
-           help="keep output files that are whole, and go on from there with the same pixels"),
+           help="keep output files that are complete, and continue from there with the same pixels"),
     Option(flag="--guides", once=True, metavar="GUIDES", sets="sequence.guides", is_file=True,
            help="frames of planes at output size, named like INPUT and numbered alike"),
     Option(flag="--preroll", once=True, metavar="N|auto", type=_parse_preroll, sets="run.preroll", changes="nothing",
@@ -83,14 +83,14 @@ FRAMES = Section("frames", (
 FILES_WRITTEN = Section("files that are written", (
     Option(flag="--keep", choices=("auto", "all", "none"), default="auto", off="auto", sets="writer.keep",
            convert={"auto": None, "all": True, "none": False}.get,
-           help="whether an EXR output keeps what else the input holds (channels, parts, header): auto, bit for bit, "
-           "beside a picture of the input's size (default); all, else enlarged by the nearest pixel; none"),
+           help="whether EXR output keeps everything else in the input (channels, parts, header): auto, bit for bit, "
+           "if the picture has the input's size (default); all, also enlarged by the nearest pixel; none"),
     Option(flag="--bits", metavar="N", type=parse_positive, sets="writer.bits",
-           help="of a channel: EXR 16 (half floats, default) or 32 (floats, default beside --aov-denoise depth or "
+           help="bits of a channel: EXR 16 (half floats, default) or 32 (floats, default with --aov-denoise depth or "
            "position), PNG 8 (default) or 16 (default in HDR), TIFF 8 or 16 (default)"),
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
-           help="of EXR: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab or, with a level, dwaa:45 (default: "
-           "zip, the fastest; the last five lose a little)"),
+           help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab or, with a level, "
+           "dwaa:45 (default: zip, the fastest; the last five lose a little)"),
 ))
 
 
@@ -143,12 +143,12 @@ LOGS = Section("logs and resuming", (
            help="append one JSON object a line for each frame and event (docs/reference/reliability.md)"),
     Option(flag="--checkpoint", metavar="SECONDS", type=_parse_seconds, default=30.0, sets="run.checkpoint",
            changes="nothing",
-           help="save the history of the passes in OUTPUT's folder after so many seconds of work, and when the run is "
-           "stopped: --skip-existing goes on from there. 0: every frame; none: never (default: 30)"),
+           help="save the history of the passes in OUTPUT's folder every so many seconds of work, and when the run is "
+           "stopped: --skip-existing continues from there. 0: every frame; none: never (default: 30)"),
     Option(flag="--resume", once=True, metavar="exact|N", type=_parse_rerun, default=_EXACT, sets="run.rerun",
            convert=lambda rerun: None if rerun == _EXACT else rerun, changes="nothing",
-           help="with --skip-existing: run as many finished frames again, without writing them, as it takes for the "
-           "pixels of an unbroken run, or at most N (default: exact)"),
+           help="with --skip-existing: how many finished frames to run again, without writing them: exact, as many as "
+           "the pixels of an unbroken run need (default), or at most N"),
 ))
 
 
@@ -163,12 +163,12 @@ TONEMAP = Option(
     "$OCIO or the built-in ACES 2 config; VIEW@DISPLAY names a display, too",
 )
 NO_TONEMAP = Option(flag="--no-tonemap", either="look", sets="look.no_tonemap",
-                    help="for a display, but only exposed, cut and encoded")
+                    help="make pictures without a look: expose, clip and encode for the display")
 DISPLAY = Option(
     flag="--display", metavar="NAME", sets="look.display",
-    help="make the picture for srgb (default), p3, rec709, rec2020, or in HDR for pq or hlg, like "
-    "pq,peak=1000,white=203 (nits of the brightest light and of diffuse white). Networks know SDR only: what they "
-    "make white becomes diffuse white",
+    help="display to make pictures for: srgb (default), p3, rec709, rec2020, or for HDR pq or hlg, e.g. "
+    "pq,peak=1000,white=203 (nits of the brightest light and of diffuse white). Networks know SDR only: their white "
+    "becomes diffuse white",
 )
 LOOK = (TONEMAP, NO_TONEMAP, DISPLAY)
 """Options that say what pictures look like."""
@@ -200,7 +200,7 @@ def _list_passes() -> str:
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
            help="preview: the fastest, --model s without a run-up; final: the cleanest, --both-ways; animation: as "
-           "clean and of steady brightness, --both-ways --exposure smooth. Options that you give yourself win"),
+           "clean, and steady in brightness, --both-ways --exposure smooth. Options that you give yourself win"),
     Option(flag="--scale", basic=True, metavar="S", type=float, either="size", sets="denoiser.scale",
            excludes=_FOR_DENOISER,
            help="output size over render size, 1 to 3 (default: 2, or the size of the guides)"),
@@ -235,14 +235,15 @@ DENOISING = Section("denoising and size", (
            help="run the N frames after a shot's first one before it, in reverse order: the first frame is then as "
            "clean as the others; 0 for none (default: 8; none with --both-ways or --budget)"),
     Option(flag="--budget", metavar="MS", type=float, sets="denoiser.budget", excludes=_FOR_DENOISER,
-           help="milliseconds that denoising a frame may take: networks smaller than --model take turns with it"),
+           help="milliseconds that denoising a frame may take: smaller networks run where --model is too slow"),
     Option(flag="--strength", metavar="S", type=float, sets="denoiser.strength", excludes=_FOR_DENOISER,
-           help="of denoising, 0 (only resample) to 1 (fully), times the plane 'strength' if there is one "
+           help="how strongly to denoise: 0 (only resample) to 1 (fully), times the plane 'strength' if there is one "
            "(default: 1)"),
     Option(flag="--motion", choices=("auto", "file", "estimate"), default="auto", off="auto", sets="sequence.motion",
            excludes=_FOR_DENOISER,
-           help="motion vectors: auto, those of the files, estimated from albedo, normal and depth where files have "
-           "none, or zeros although the picture moves (default); file, of the files alone; estimate, always"),
+           help="where motion vectors come from: auto, the files, or an estimate from albedo, normal and depth if "
+           "files have none, or zeros although the picture moves (default); file, the files alone; estimate, always "
+           "an estimate"),
     Option(flag="--clamp-fireflies", metavar="N", type=float, sets="sequence.clamp_fireflies", excludes=_FOR_DENOISER,
            help="before denoising, darken pixels more than N times (such as 8) as bright as the third brightest of the "
            "24 around them; the run says how much light that took"),
@@ -267,10 +268,10 @@ PARTS = Section("masks and parts of the picture", (
            "albedo, normal, position, depth, mist, shadow or ao; ids and Cryptomattes are never filtered"),
     Option(flag="--aov-filters", choices=("picture", "own"), sets="denoiser.part_filters",
            excludes=_FOR_DENOISER,
-           help="filters of the light that --aov names: the picture's, or own ones, which are cleaner and "
+           help="filters for the parts that --aov names: the picture's, or their own, which are cleaner but "
            "take as long as the picture for each part (default: picture)"),
     Option(flag="--no-alpha-denoise", sets="denoiser.alpha", convert=lambda leave: not leave, excludes=_FOR_DENOISER,
-           help="only resample alpha, which is else denoised where a frame has values between 0 and 1"),
+           help="only resample alpha; by default it is denoised in frames with values between 0 and 1"),
     Option(flag="--overlay", choices=("composite", "separate", "ignore"), default="composite", sets="sequence.without",
            convert=_roles_unread,
            help="transparency overlay: composite it over the denoised picture, write it as an EXR layer of its own, or "
@@ -285,7 +286,7 @@ LOOKS = Section("look", (
            "lit (as it was lit: the header's, else 0 EV), metadata (the header's), or a number of stops"),
     DISPLAY,
     Option(flag="--dither", choices=("moving", "static", "none"), default="moving", sets="writer.dither",
-           help="of 8 bits: another pattern each frame (default), one, none"),
+           help="dithering of 8-bit pictures: another pattern each frame (default), always the same, or none"),
     Option(flag="--pass", metavar="NAME[,OPTION=VALUE]", repeated=True,
            help="also run a pass, such as one of another package: before the tone mapping, or where before=PASS or "
            "after=PASS say, e.g. vignette,amount=0.5,after=tonemap; may be repeated (docs/howto/passes.md)"),
@@ -359,7 +360,7 @@ COLOURSPACE = Option(
 )
 
 LAYER = Option(flag="--layer", metavar="NAME", sets="sequence.layer",
-               help="view layer or other layer to read (default: of several view layers that with the most planes)")
+               help="view layer or other layer to read (default: the view layer with the most planes)")
 VIEW = Option(flag="--view", metavar="NAMES", sets="sequence.view",
               help="view of stereo files to read, e.g. left (default: the first, or all where INPUT has {view}). "
               "'postfx run' takes several, left,right or all, each with its own history. It writes them into one EXR, "
@@ -391,16 +392,16 @@ READING = Section("reading and running", (
     *FILES,
     Option(flag="--cuts", once=True, metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts",
            convert=parse_cuts,
-           help="where shots begin, so that the history is dropped: by headers and pictures, nowhere, or at these "
-           "frames, e.g. 1,48,90 (default: auto)"),
+           help="where shots begin, and the history is dropped: by headers and pictures, nowhere, or at these frames, "
+           "e.g. 1,48,90 (default: auto)"),
     Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", sets="device.name", help="where to run"),
     Option(flag="--provider", once=True, metavar="NAME[,OPTION=VALUE...]", sets="device.provider", changes="rounding",
            help="run networks on an execution provider of ONNX Runtime, with options of its own, e.g. "
            "OpenVINO,device_type=CPU; library=FILE or PACKAGE loads one that is a plug-in; tensors and kernels stay on "
            "the CPU"),
     Option(flag="--memory", metavar="SIZE", sets="device.memory", changes="rounding",
-           help="what the process may have in memory, e.g. 4G: frames are worked on in tiles, and what is too large "
-           "lies in temporary files (TMPDIR); CPU only (default: no limit)"),
+           help="limit of the process's memory, e.g. 4G: frames are processed in tiles, and large tensors lie in "
+           "temporary files (TMPDIR); CPU only (default: no limit)"),
     Option(flag="--threads", metavar="N", type=parse_positive, sets="device.threads",
            help="CPU threads (default: all usable cores)"),
     Option(flag="--ray", once=True, metavar="ADDRESS[,size=N]", type=parse_ray, changes="nothing",
@@ -444,8 +445,8 @@ CAPTURE = Section("capture", (
            needs=_NEEDS_CAPTURE, changes="nothing", help="frame to capture (default: the second, which has a history)"),
     Option(flag="--capture-tensors", once=True, choices=("thumbnails", "none", "all"), sets="capture.tensors",
            needs=_NEEDS_CAPTURE, changes="nothing",
-           help="of each tensor keep figures and small pictures (default), nothing, or also all of it in DIR/tensors, "
-           "for 'postfx capture-compare'"),
+           help="what to keep of each tensor: figures and small pictures (default), nothing, or everything, in "
+           "DIR/tensors, for 'postfx capture-compare'"),
     Option(flag="--capture-network", once=True, sets="capture.network", needs=_NEEDS_CAPTURE, changes="nothing",
            help="also run the frame's networks once more, node by node: figures, pictures and time of each node"),
 ))

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from postfx.runs.manifest import Verification
 
 DESCRIPTION = """\
-Check the files of a folder against postfx.manifest.json, which 'postfx run' keeps beside the frames: each must be there
-and have the SHA-256 that it was written with. Files that a run was to write and did not, and files named like those of
-a run that no run wrote, are listed, too. Nothing is changed.
+Check the files of a folder against postfx.manifest.json, which 'postfx run' keeps beside the frames: each must exist
+and have the SHA-256 that it was written with. Also listed are files that a run should have written but did not, and
+files that are named like a run's but were written by none. Nothing is changed.
 """
 EXAMPLES = """\
 examples:
@@ -25,8 +25,8 @@ examples:
   postfx verify node1/ node2/ --frames 1-200
   postfx verify out/ || postfx run shot/noisy.####.exr -o out/clean.####.exr --skip-existing
 
-exit codes: 0 all files are whole; 1 files are altered, missing, unfinished or unknown; 2 there is no manifest, or it
-cannot be read
+exit codes: 0 all files are complete and unaltered; 1 files are altered, missing, unfinished or unknown; 2 there is no
+manifest, or it cannot be read
 """
 SHOWN = 10
 MEANINGS = {

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Process frames as a renderer writes them, in order, for a preview while the render runs. Networks stay loaded, and each
-frame has the history of those before it. A frame counts as written when its files have stayed as they are for --settle
-seconds and can be read; a frame that comes late is waited for. Options of 'postfx run' go behind --.
+frame has the history of the ones before it. A frame counts as written when its files have not changed for --settle
+seconds and can be read. Late frames are waited for. Options of 'postfx run' go behind --.
 
-Frames that are there already come first. Later frames are not there yet, so a shot's first frames are noisier than
-those of 'postfx run', which makes the final ones: no manifest is written here, and outputs are replaced.
+Frames that exist already come first. Nothing looks ahead here, so a shot's first frames are noisier than those of
+'postfx run'. Make the final frames with that: watch writes no manifest and replaces outputs.
 """
 EXAMPLES = """\
 examples:
@@ -34,7 +34,7 @@ exit codes: 0 the last frame of --until is done, or no frame came for --idle sec
 to fix it; 130 ended by Ctrl-C
 """
 POLL = 0.2
-"""Seconds between two looks at the folder: network folders tell nobody of new files."""
+"""Seconds between two looks at the folder, as network folders do not report new files."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,16 +43,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="folder to watch, or a pattern of frames in it")
     parser.add_argument("-o", "--output", metavar="OUTPUT", required=True, type=parse_path,
                         help="files to write: a pattern or a folder")
-    parser.add_argument("--until", metavar="FRAME", type=int, help="number of the last frame (default: watch on)")
+    parser.add_argument("--until", metavar="FRAME", type=int, help="number of the last frame (default: keep watching)")
     parser.add_argument("--step", metavar="N", type=parse_positive, default=1,
-                        help="from one frame to the next, where the renderer leaves some out (default: 1)")
+                        help="step between frames, if the renderer leaves some out (default: 1)")
     parser.add_argument("--idle", metavar="SECONDS", type=parse_from_zero,
-                        help="end when no frame came for so long (default: never)")
+                        help="end after this time without a new frame (default: never)")
     parser.add_argument("--patience", metavar="SECONDS", type=parse_from_zero, default=60.0,
-                        help="how long a frame is waited for while later ones are there; then it is left out (default: "
+                        help="how long to wait for a frame while later ones are there; then it is left out (default: "
                         "60)")
     parser.add_argument("--settle", metavar="SECONDS", type=parse_from_zero, default=0.5,
-                        help="how long a file must have stayed as it is (default: 0.5)")
+                        help="how long a file must not have changed (default: 0.5)")
     parser.add_argument("--json", action="store_true", help="print one JSON object a line for each frame")
     parser.usage = f"{parser.prog} FOLDER -o OUTPUT [--until FRAME] [--idle SECONDS] [--json] [-- RUN OPTIONS]"
 

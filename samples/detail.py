@@ -1,0 +1,188 @@
+"""Does detail beyond the render size come back? A slow pan of jittered frames, known exactly, enlarged twice.
+
+python samples/detail.py [--models m,s] [--frames 16] [--noise 0.5] [--pan 0.31,0.13]     needs postfx-render[bench]
+
+A plane has three parts: fine detail in the albedo, the same in the light, and edges of shadows. Methods:
+
+    cubic               the frame without noise, cubic interpolation that knows the jitter
+    perfect + cubic     the mean over every render pixel, without noise, enlarged: what a perfect denoiser could give
+    all samples kept    the mean of all noise-free samples so far in each output pixel, at their exact places
+    accumulation        noisy frames, cubic interpolation, motion-compensated mean
+    OIDN + cubic        Open Image Denoise, high quality, at the render size; beside it the same accumulated
+    TAG; TAG, alone     a network with its history, and with the history dropped at every frame
+
+Prints a table of the second half of the frames: PSNR as seen, and of luminance beyond the render size's Nyquist
+frequency `share`, the part of the reference's amplitude that is there, and `coherence`, the correlation with it.
+"""
+import argparse
+import math
+from collections.abc import Callable
+from importlib.util import find_spec
+from itertools import pairwise
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+import postfx
+from postfx import Frame, Role, integrate
+from postfx.bench.methods import OTHERS, Method, make
+from postfx.bench.metrics import LUMINANCE, grey_exposure, psnr
+from postfx.colour.views import to_codes
+
+PARTS = ("albedo", "light", "shadow edges")
+PATCH, COARSE, SCALE, SUBSAMPLES, SPECULAR = 64, 4, 2, 8, 0.04
+PART = 2 * PATCH
+HEIGHT, WIDTH = PART, len(PARTS) * PART
+BARS, STROKE = (0.55, 0.65, 0.75, 0.85), 0.75
+DIGITS = (0x7B6F, 0x2C97, 0x73E7, 0x73CF, 0x5BC9, 0x79CF, 0x79EF, 0x7292, 0x7BEF, 0x7BCF)
+TILE, EDGE = 64, 16
+
+
+@numba.vectorize(["float64(float64, float64)"])
+def pattern(x: float, y: float) -> float:
+    """0..1 at a point, in render pixels: patches with a star, a zone plate, slanted bars and digits.
+
+    Too fine for the render size are the star's centre, the zone plate's rim, all bars (BARS cycles a pixel) and the
+    digits, whose strokes are STROKE pixels wide.
+    """
+    column, row = math.floor(x / PATCH), math.floor(y / PATCH)
+    u, v = x - (column + 0.5) * PATCH, y - (row + 0.5) * PATCH
+    kind, radius = int(column) % 2 + 2 * (int(row) % 2), math.sqrt(u * u + v * v)
+    if kind == 0:
+        return 0.5 if radius < 6 or radius > 31 else 1.0 * (math.cos(72 * math.atan2(v, u)) > 0)
+    if kind == 1:
+        return 0.5 + 0.5 * math.cos(math.pi * 0.9 / 32 * radius * radius) if radius < 31 else 0.5
+    u, v = u + PATCH / 2, v + PATCH / 2
+    if kind == 2:
+        line = int(v / (PATCH / 4))
+        angle = 0.2 + 0.5 * math.pi * (line % 2)
+        return 1.0 * (math.cos(2 * math.pi * BARS[line] * ((u - PATCH / 2) * math.cos(angle)
+                                                        + (v - PATCH / 2) * math.sin(angle))) > 0)
+    across, down = int(math.floor(u / STROKE)), int(math.floor(v / STROKE))
+    cell = (across // 4) * 7 + (down // 6) * 5 + (across // 4) * (down // 6) % 3
+    across, down = across % 4, down % 6
+    if across > 2 or down > 4:
+        return 1.0
+    return 1.0 - ((DIGITS[cell % 10] >> (14 - 3 * down - across)) & 1)
+
+
+class View(NamedTuple):
+    """One frame: as rendered, the same without noise, and the truth (H, W, 3) at output size."""
+
+    noisy: Frame
+    clean: Frame
+    reference: np.ndarray
+
+
+def sampled(t: int, pan: tuple[float, float], scale: int, offset: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Diffuse albedo (h, w, 3) and light (h, w, 1) at one point of each pixel, `offset` (x, y) from its centre."""
+    x = (np.arange(scale * WIDTH) + 0.5 + offset[0]) / scale + t * pan[0]
+    y = (np.arange(scale * HEIGHT)[:, None] + 0.5 + offset[1]) / scale + t * pan[1]
+    wide = x >= 2 * PART
+    u, v = 0.75 * PATCH + (x - 2 * PART) / COARSE, 1.25 * PATCH + y / COARSE  # bars beside digits
+    detail = pattern(np.where(wide, u, x), np.where(wide, v, y))[..., None]
+    lit, even = x[:, None] >= PART, 1 + 0.2 * np.sin(2 * np.pi * y / 97)[..., None]
+    return (np.where(lit, 0.6, 0.06 + 0.74 * detail) * np.array([1, 0.92, 0.8]),
+            np.where(lit, 0.15 + 0.85 * detail, 0.7) * even)
+
+
+def view(t: int, pan: tuple[float, float], noise: float) -> View:
+    """Frame `t`, counted from 0, of a plane that moves by `pan` (x, y) render pixels a frame to the left and up.
+
+    `noise` is the deviation of a pixel's light over its mean: 0.5 is that of four paths of exponential light.
+    """
+    jitter = integrate.halton(t + 1, 2) - 0.5, integrate.halton(t + 1, 3) - 0.5
+    albedo, light = sampled(t, pan, 1, jitter)
+    random = np.random.default_rng([t, 1])
+    lit = light * random.gamma(noise**-2, noise**2, light.shape) if noise else light
+    steps = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5
+    fine = [sampled(t, pan, SCALE, (x, y)) for x in steps for y in steps]
+    reference = np.mean([(albedo + SPECULAR) * light for albedo, light in fine], 0).astype(np.float32)
+    shared = {Role.DIFFUSE_ALBEDO: albedo, Role.SPECULAR_ALBEDO: np.full((HEIGHT, WIDTH, 3), SPECULAR),
+              Role.ROUGHNESS: np.ones((HEIGHT, WIDTH, 1)), Role.DEPTH: np.full((HEIGHT, WIDTH, 1), 4.0),
+              Role.NORMAL: np.broadcast_to([0.0, 0.0, 1.0], (HEIGHT, WIDTH, 3)),
+              Role.MOTION: np.broadcast_to(pan, (HEIGHT, WIDTH, 2))}
+    noisy, clean = (Frame({Role.COLOUR: (albedo + SPECULAR) * each} | shared, number=t + 1, jitter=jitter)
+                    for each in (lit, light))
+    return View(noisy, clean, reference)
+
+
+def kept(frames: list[Frame], pan: tuple[float, float], filling: np.ndarray) -> np.ndarray:
+    """The mean of all samples of the frames in each output pixel, at their exact places; empty pixels are filled."""
+    height, width = filling.shape[:2]
+    total, count = np.zeros((height * width, 3)), np.zeros(height * width)
+    for frame in frames:
+        moved = [frame.jitter[i] - (frames[-1].number - frame.number) * pan[i] for i in range(2)]
+        x = np.floor((np.arange(WIDTH) + 0.5 + moved[0]) * SCALE).astype(int)
+        y = np.floor((np.arange(HEIGHT)[:, None] + 0.5 + moved[1]) * SCALE).astype(int)
+        inside = ((x >= 0) & (x < width) & (y >= 0) & (y < height)).ravel()
+        at = (y * width + x).ravel()[inside]
+        np.add.at(total, at, frame[Role.COLOUR].reshape(-1, 3)[inside])
+        np.add.at(count, at, 1)
+    mean = (total / np.maximum(count, 1)[:, None]).reshape(filling.shape)
+    return np.where(count.reshape(height, width, 1) > 0, mean, filling).astype(np.float32)
+
+
+def spectra(picture: np.ndarray) -> np.ndarray:
+    """Spectra of luminance (H, W) beyond the render size's limit: tiles that overlap by half, Hann window, no mean."""
+    tiles = np.lib.stride_tricks.sliding_window_view(picture, (TILE, TILE))[:: TILE // 2, :: TILE // 2]
+    tiles = tiles.reshape(-1, TILE, TILE).astype(np.float64)
+    window, frequency = np.hanning(TILE + 1)[:-1], np.abs(np.fft.fftfreq(TILE))
+    beyond = np.maximum(frequency, frequency[:, None]) >= 0.5 / SCALE + 2 / TILE  # the window spreads two steps
+    return np.fft.fft2((tiles - tiles.mean((1, 2), keepdims=True)) * window * window[:, None]) * beyond
+
+
+def share_and_coherence(picture: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
+    """Of the reference's detail: the share that a picture has, and its correlation with it, of luminances (H, W)."""
+    found, wanted = spectra(picture), spectra(reference)
+    both, own, whole = ((a * b.conj()).real.sum() for a, b in ((found, wanted), (found, found), (wanted, wanted)))
+    return float(both / whole), float(both / np.sqrt(max(own * whole, 1e-30)))
+
+
+def methods(models: list[str]) -> dict[str, Callable[[Frame], np.ndarray]]:
+    """What turns frames, in order, into pictures (H, W, 3), by name."""
+    known = {method.name: method for method in OTHERS}
+    wanted = {"cubic": known["bicubic"], "accumulation": known["accumulation"]}
+    if find_spec("pyoidn"):
+        wanted |= {"OIDN + cubic": known["oidn-high"], "OIDN accumulated": known["oidn-high-accumulated"]}
+    for tag in models:
+        wanted |= {f"postfx {tag}, alone": Method(tag, tag, "ours", tag, alone=True),
+                   f"postfx {tag}": Method(tag, tag, "ours", tag)}
+    device = postfx.Device("cpu")
+    return {name: make(method, device, SCALE, (SCALE * HEIGHT, SCALE * WIDTH)) for name, method in wanted.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--models", default="m,s")
+    parser.add_argument("--frames", type=int, default=16)
+    parser.add_argument("--noise", type=float, default=0.5)
+    parser.add_argument("--pan", type=lambda text: tuple(map(float, text.split(","))), default=(0.31, 0.13))
+    arguments = parser.parse_args()
+    ways, frames, figures = methods(arguments.models.split(",")), [], {}
+    exposure = 0.0
+    for t in range(arguments.frames):
+        noisy, clean, reference = view(t, arguments.pan, arguments.noise)
+        exposure, frames = exposure or grey_exposure(reference), [*frames, clean]
+        mean = reference.reshape(HEIGHT, SCALE, WIDTH, SCALE, 3).mean((1, 3))
+        pictures = {name: way(clean if name == "cubic" else noisy) for name, way in ways.items()}
+        pictures["perfect + cubic"] = ways["cubic"](Frame({Role.COLOUR: mean}))
+        pictures["all samples kept"] = kept(frames, arguments.pan, pictures["perfect + cubic"])
+        ends = [0, *(i * PART - t * arguments.pan[0] for i in range(1, len(PARTS))), WIDTH]
+        if t < arguments.frames // 2:
+            continue
+        for name, picture in pictures.items():
+            for part, (start, end) in zip(PARTS, pairwise(ends), strict=True):
+                at = np.s_[EDGE:-EDGE, round(SCALE * start) + EDGE: round(SCALE * end) - EDGE]
+                seen = psnr(to_codes(picture[at], exposure), to_codes(reference[at], exposure))
+                found = share_and_coherence(picture[at] @ LUMINANCE, reference[at] @ LUMINANCE)
+                figures.setdefault(name, {}).setdefault(part, []).append((seen, *found))
+    print(f"| method | {' | '.join(f'{part}: PSNR, share, coherence' for part in PARTS)} |\n|{' --- |' * 4}")
+    for name in sorted(figures, key=lambda name: ("cubic" not in name or "OIDN" in name, "kept" not in name)):
+        cells = (np.mean(found, axis=0) for found in figures[name].values())
+        print(f"| {name} | {' | '.join(f'{seen:.2f} dB, {share:.2f}, {match:.2f}' for seen, share, match in cells)} |")
+
+
+if __name__ == "__main__":
+    main()
