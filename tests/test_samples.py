@@ -277,11 +277,23 @@ def test_history_brings_detail_that_no_frame_holds():
     assert match("postfx s") > match("perfect + cubic") > match("postfx s, alone")
 
 
+def test_pictures_of_tools_show_what_they_say(tmp_path):
+    """The two that need no browser: boards a stop apart around the right one, and a shot of each kind."""
+    made = runpy.run_path(str(SAMPLES / "site_pictures.py"))
+    made["draw_boards"](tmp_path / "board.png")
+    pixels = made["pixels_of"](tmp_path / "board.png")
+    dark, right, bright = (pixels[:180, x:x + 320].mean() / 255 for x in (0, 328, 656))
+    assert abs(right - 0.35) < 0.02 and dark < right - 0.08 and bright > right + 0.08
+    found = made["debug"](made["shots"](), [postfx.ToneMap(tag="aces2")], "metadata")
+    assert [shot.verdict for shot in found.shots] == ["right", "drifting", "too dark"]
+
+
 def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
              "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py", "time_model.py",
-             "neural_material.py", "neural_shading.py", "display.py", "reflections.py", "detail.py"}
+             "neural_material.py", "neural_shading.py", "display.py", "reflections.py", "detail.py",
+             "site_pictures.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

@@ -147,7 +147,7 @@ class Interpolation:
         if self._outputs.display:
             raise WriteError(f"{arguments.output}: is for a display: write EXR and tone-map it afterwards")
         if len(self._sequence) < 2:
-            raise OptionError(f"{self._sequence.pattern}: one frame has nothing between it: give two or more")
+            raise OptionError(f"{self._sequence.pattern}: one frame is not enough: give two or more")
         self._moments: list[Moment] = list(self._times.moments(self._sequence.numbers))
         self._outputs.check(tuple(moment.number for moment in self._moments))
         self._overlays = Sequence(arguments.overlays, planes=[Role.OVERLAY]) if arguments.overlays else None

@@ -423,7 +423,7 @@ class Job:
         if self.sequence.parts is None:
             return ()
         if (self.outputs is not None and self.outputs.display) or any(self._values("look").values()):
-            self.skips.append(Skip("parts of the picture", "they are light of the scene, the output is not"))
+            self.skips.append(Skip("parts of the picture", "they are scene-linear, the output is not"))
             self.sequence.parts = None
             return ()
         with self.sequence.open(self.first) as files:

@@ -97,7 +97,7 @@ def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Jo
     for flag, is_given in (("--both-ways", given.both_ways), ("--exposure smooth", given.exposure == "smooth"),
                            ("--report", given.report), ("--capture", given.capture), ("--explain", given.explain)):
         if is_given:
-            raise OptionError(f"{flag} needs all frames, of which watch knows only those that are there: leave it out")
+            raise OptionError(f"{flag} needs all frames, but watch knows only those written so far: leave it out")
     given.run_up = given.run_up or 0
     return Job(given)
 

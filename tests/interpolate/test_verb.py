@@ -85,7 +85,7 @@ def test_given_overlays_are_put_over_all_frames(shot, tmp_path):
 @pytest.mark.parametrize(("options", "message"), [
     (["-o", "out/f.####.png"], "is for a display: write EXR"), ([], "give -o OUTPUT"),
     (["-o", "in/shot.####.exr"], "would be a frame of the input|is an input"),
-    (["-o", "out/", "--frames", "2"], "one frame has nothing between it"),
+    (["-o", "out/", "--frames", "2"], "one frame is not enough"),
     (["-o", "out/", "--overlays", "x", "--composited"], "leave --composited out")])
 def test_what_cannot_be_is_one_line(shot, tmp_path, options, message, monkeypatch, capsys):
     shot()
