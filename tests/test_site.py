@@ -89,6 +89,13 @@ def test_links_lead_somewhere():
     assert dead == []
 
 
+def test_files_that_pages_name_are_there():
+    """Modules move; a page that names one must move with it."""
+    named = [(page, path) for page, text in pages().items()
+             for path in re.findall(r"`((?:postfx|training|tests|samples|models)/[\w/.]+\.\w+)`", text)]
+    assert [(page, path) for page, path in named if not (ROOT / path).exists()] == [] and len(named) > 40
+
+
 def words_of(line: str) -> list[str]:
     """A line of a shell as words; a comment begins with a word, not with any #."""
     return shlex.split(re.sub(r"(?:^|\s)#.*", "", line))
