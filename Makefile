@@ -57,8 +57,10 @@ windows: $(VENV)/installed-dev
 
 # Wheel and sdist in dist/, each installed and run in a fresh environment of every Python in PYTHONS.
 release: $(VENV)/installed-dev
-	rm -rf dist
+	rm -rf dist postfx/_kernels
+	$(BIN)/python build_kernels.py
 	$(BIN)/python -m hatchling build -d dist
+	rm -rf postfx/_kernels
 	for python in $(PYTHONS); do .ci/check_release $$python || exit 1; done
 
 $(VENV)/installed-docs: pyproject.toml constraints.txt | $(BIN)/python

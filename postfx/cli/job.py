@@ -47,7 +47,7 @@ from postfx.frame import Frame, Part, Role
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.io.writer import Existing, OutputFiles, write_frame
-from postfx.kernels.compile_cache import CompileWatch
+from postfx.kernels.native import CompileWatch
 from postfx.passes import Pass
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form

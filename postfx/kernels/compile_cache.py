@@ -26,12 +26,13 @@ from llvmlite import ir
 from numba.core.caching import _Cache
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
-from numba.core.event import Event, Listener, register, unregister
+from numba.core.event import Event, Listener, register
 from numba.core.extending import _Intrinsic
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from postfx.files import write_atomically
+from postfx.kernels.native import Intrinsic, KernelFunction, watches
 from postfx.system import private_folder
 
 FOLDER = "kernels"
@@ -53,40 +54,26 @@ def cache_folder() -> Path | None:
     return private_folder(FOLDER)
 
 
-class CompileWatch(Listener):
-    """Counts what Numba compiles, and how long that takes. Use as a context manager.
-
-    Args:
-        tell: called before each function with the count of earlier ones.
-
-    Attributes:
-        count: compiled functions, without those from the cache.
-        seconds: total time of compiling.
-    """
-
-    def __init__(self, tell: Callable[[int], None] = lambda _: None) -> None:
-        self.count, self.seconds = 0, 0.0
-        self._tell, self._depth, self._begin = tell, 0, 0.0
+class _Watched(Listener):
+    """Tells the watches what Numba compiles."""
 
     def on_start(self, event: Event) -> None:
-        """Start timing a function, possibly inside one that calls it."""
-        self._tell(self.count)
-        if self._depth == 0:
-            self._begin = time.perf_counter()
-        self._depth += 1
+        for watch in watches:
+            watch.start()
 
     def on_end(self, event: Event) -> None:
-        """Stop timing it."""
-        self._depth, self.count = self._depth - 1, self.count + 1
-        if self._depth == 0:
-            self.seconds += time.perf_counter() - self._begin
+        for watch in watches:
+            watch.end()
 
-    def __enter__(self) -> CompileWatch:
-        register("numba:compile", self)  # type: ignore[no-untyped-call]  # Numba has no types
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        unregister("numba:compile", self)  # type: ignore[no-untyped-call]  # likewise
+register("numba:compile", _Watched())  # type: ignore[no-untyped-call]  # Numba has no types
+
+
+def make_dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """Numba's dispatcher of a function: no lock held, compiled code kept between runs."""
+    dispatcher = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    dispatcher._cache = KernelCache(dispatcher)
+    return dispatcher
 
 
 class KernelCache(_Cache):
@@ -149,6 +136,7 @@ class KernelCache(_Cache):
 def digest(function: Callable[..., Any]) -> str:
     """Hexadecimal digest of everything that a function's compiled code depends on, without comments, docstrings and
     line numbers. Raises TypeError for a global value that it cannot digest."""
+    function = function.dispatcher if isinstance(function, KernelFunction) else function
     if isinstance(function, Dispatcher):
         parts = _all_parts((dict(function.targetoptions), function.py_func))
     elif isinstance(function, FunctionType):
@@ -185,8 +173,10 @@ def _function_parts(function: FunctionType) -> Iterator[str | bytes]:
 
 def _parts(value: Any) -> Iterator[str | bytes]:
     """What a value is, as texts and bytes; of functions, the digest."""
-    if isinstance(value, Dispatcher):
+    if isinstance(value, Dispatcher | KernelFunction):
         yield digest(value)
+    elif isinstance(value, Intrinsic):
+        yield digest(value.function)
     elif isinstance(value, _Intrinsic):
         yield digest(value._defn)
     elif isinstance(value, FunctionType):

@@ -4,12 +4,9 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
 
-from postfx.kernels.compile_cache import KernelCache
 from postfx.kernels.denoise import ADDED, EMITTER, LEAST_TINT, MAX_COLOUR, MOST_REFLECTANCE
+from postfx.kernels.native import KernelFunction, functions, intrinsic, ir, types
 
 BRIGHTEST = np.float32(1e10)
 """Light beyond counts as this much where colours are looked up, so that infinity times zero is no NaN."""
@@ -19,12 +16,17 @@ Real: TypeAlias = Any
 
 
 def kernel_jit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Numba's decorator for kernels: no lock held, compiled code kept between runs."""
+    """Decorator for kernels, with Numba's options: they come compiled, or Numba compiles them when they are called."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
-        dispatcher._cache = KernelCache(dispatcher)
-        return dispatcher
+        def compile_it() -> Any:
+            from postfx.kernels.compile_cache import make_dispatcher
+
+            return make_dispatcher(function, options)
+
+        shipped = functions()
+        name = f"{function.__module__}.{function.__qualname__}"
+        return KernelFunction(function, compile_it, shipped.get(name, {})) if shipped else compile_it()
 
     return decorate
 
@@ -220,13 +222,13 @@ def mix_eight(some: Eight, others: Eight, share: Real) -> Eight:
 @inline
 def divide_eight(some: Eight, others: Eight) -> Eight:
     """some / others, number by number."""
-    return _divide_eight(some, others)  # type: ignore[call-arg]  # Numba gives the first argument
+    return _divide_eight(some, others)
 
 
 @inline
 def largest_eight(some: Eight, others: Eight) -> Eight:
     """The larger numbers of two eights."""
-    return _largest_eight(some, others)  # type: ignore[call-arg]
+    return _largest_eight(some, others)
 
 
 @inline
@@ -341,7 +343,7 @@ def _eight_from(first: int) -> Any:
 
 
 def _tuple_of(count: int) -> Any:
-    return types.UniTuple(types.float32, count)  # type: ignore[no-untyped-call]
+    return types.UniTuple(types.float32, count)
 
 
 def _vector_of(count: int) -> Any:

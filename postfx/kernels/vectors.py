@@ -21,14 +21,10 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-from llvmlite import binding, ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
+from postfx.kernels.native import cgutils, intrinsic, ir, types, wide_vectors
 from postfx.kernels.numeric import compiled
 
-FLOAT, INDEX = ir.FloatType(), ir.IntType(64)
 _FLAGS = ("contract",)
 
 
@@ -95,7 +91,7 @@ class Vector:
         count = self.value.type.count
         if isinstance(other, float | Sequence):
             numbers = [other] * count if isinstance(other, float) else other
-            return ir.Constant(self.value.type, [ir.Constant(FLOAT, float(number)) for number in numbers])
+            return ir.Constant(self.value.type, [ir.Constant(ir.FloatType(), float(number)) for number in numbers])
         return _repeat(self.builder, other, count)
 
 
@@ -108,18 +104,20 @@ class Lanes:
     def load(self, array: Any, at: Any) -> Vector:
         """Numbers of an array from an index on."""
         data = _data(self.context, self.builder, self.arrays[id(array)], array)
-        place = self.builder.bitcast(self.builder.gep(data, [at]), ir.VectorType(FLOAT, self.count).as_pointer())
+        kind = ir.VectorType(ir.FloatType(), self.count).as_pointer()
+        place = self.builder.bitcast(self.builder.gep(data, [at]), kind)
         return Vector(self.builder, self.builder.load(place, align=4))
 
     def constant(self, numbers: Sequence[float]) -> Vector:
         """Numbers that are known, as many as there are."""
-        kind = ir.VectorType(FLOAT, len(numbers))
-        return Vector(self.builder, ir.Constant(kind, [ir.Constant(FLOAT, float(number)) for number in numbers]))
+        kind = ir.VectorType(ir.FloatType(), len(numbers))
+        constants = [ir.Constant(ir.FloatType(), float(number)) for number in numbers]
+        return Vector(self.builder, ir.Constant(kind, constants))
 
     def step(self, at: Any, stride: Any, times: int = 1) -> Any:
         """An index, moved on by a multiple of a stride, which may be an int."""
-        by = ir.Constant(INDEX, stride * times) if isinstance(stride, int) else \
-            self.builder.mul(stride, ir.Constant(INDEX, times))
+        by = _index(stride * times) if isinstance(stride, int) else \
+            self.builder.mul(stride, _index(times))
         return self.builder.add(at, by)
 
     def between(self, array: Any, at: Any, across: Any) -> Vector:
@@ -145,8 +143,7 @@ def in_lanes(count: int, results: int = 1) -> Callable[[Callable[..., Any]], Any
             assert made_with, "is part of what compiled code is cached by"
             kinds = [kind if isinstance(kind, types.Array) else types.int64 if isinstance(kind, types.Integer)
                      else types.float32 for kind in arguments]
-            numbers: Any = types.UniTuple
-            result = types.float32 if results == 1 else numbers(types.float32, results)
+            result = types.float32 if results == 1 else types.UniTuple(types.float32, results)
 
             def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
                 arrays = {id(value): kind for value, kind in zip(values, signature.args, strict=True)}
@@ -161,15 +158,24 @@ def in_lanes(count: int, results: int = 1) -> Callable[[Callable[..., Any]], Any
     return decorate
 
 
+def _vector() -> Any:
+    return ir.VectorType(ir.FloatType(), LANES)
+
+
 def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
     return context.make_array(kind)(context, builder, array).data
 
 
 def _repeat(builder: Any, number: Any, count: int) -> Any:
     """A vector of one number."""
-    undefined, places = ir.Constant(ir.VectorType(FLOAT, count), ir.Undefined), ir.VectorType(ir.IntType(32), count)
+    undefined = ir.Constant(ir.VectorType(ir.FloatType(), count), ir.Undefined)
+    places = ir.VectorType(ir.IntType(32), count)
     first = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(first, undefined, ir.Constant(places, [0] * count))
+
+
+def _index(value: int) -> Any:
+    return ir.Constant(ir.IntType(64), value)
 
 
 def _places(first: int, count: int) -> Any:
@@ -178,7 +184,7 @@ def _places(first: int, count: int) -> Any:
 
 # Products of small matrices.
 
-LANES = 16 if binding.get_host_cpu_features().get("avx512f") else 8
+LANES = 16 if wide_vectors() else 8
 """Numbers of a vector instruction."""
 STRIP = 2 * LANES
 """Columns of all matrices but the weights: rows of two vectors lie one after the other."""
@@ -186,8 +192,6 @@ ROWS = LANES // 2
 """Rows of a block of `combine`: with two vectors a row they fill half of the registers."""
 DOWN, ACROSS = 4, LANES // 4
 """Rows and columns of a block of `correlate`: as many sums as a vector has numbers."""
-VECTOR = ir.VectorType(FLOAT, LANES)
-INT = types.int64
 
 
 @compiled
@@ -230,7 +234,7 @@ def correlate(
     at = first * LANES
     for j in range(0, rows, DOWN):
         for i in range(0, columns, ACROSS):
-            _correlate(left, j, rows, right, i, columns, strips, blocks, at)  # type: ignore[call-arg]
+            _correlate(left, j, rows, right, i, columns, strips, blocks, at)
             at += LANES
 
 
@@ -247,22 +251,22 @@ def open_blocks(blocks: np.ndarray, first: int, rows: int, columns: int, target:
 
 
 def _load(builder: Any, data: Any, at: Any) -> Any:
-    return builder.load(builder.bitcast(builder.gep(data, [at]), VECTOR.as_pointer()), align=4)
+    return builder.load(builder.bitcast(builder.gep(data, [at]), _vector().as_pointer()), align=4)
 
 
 def _store(builder: Any, vector: Any, data: Any, at: Any) -> None:
-    builder.store(vector, builder.bitcast(builder.gep(data, [at]), VECTOR.as_pointer()), align=4)
+    builder.store(vector, builder.bitcast(builder.gep(data, [at]), _vector().as_pointer()), align=4)
 
 
 def _variable(builder: Any, value: Any) -> Any:
     """A place of the stack, which becomes a register."""
-    return cgutils.alloca_once_value(builder, value)  # type: ignore[no-untyped-call]
+    return cgutils.alloca_once_value(builder, value)
 
 
 def _multiply_add(builder: Any, a: Any, b: Any, c: Any) -> Any:
     name = f"llvm.fma.v{LANES}f32"
     function = builder.module.globals.get(name) or ir.Function(
-        builder.module, ir.FunctionType(VECTOR, [VECTOR] * 3), name)
+        builder.module, ir.FunctionType(_vector(), [_vector()] * 3), name)
     return builder.call(function, [a, b, c])
 
 
@@ -274,14 +278,14 @@ def _combining(rows: int) -> Callable[..., Any]:
         kinds = signature.args
         weights, source, target = (_data(context, builder, kinds[k], value)
                                    for k, value in ((0, weights), (4, source), (7, target)))
-        places = [builder.add(target_at, INDEX(j * STRIP + v)) for j in range(rows) for v in (0, LANES)]
+        places = [builder.add(target_at, _index(j * STRIP + v)) for j in range(rows) for v in (0, LANES)]
         totals = [_variable(builder, _load(builder, target, place)) for place in places]
         with cgutils.for_range(builder, count) as loop:
-            here = builder.add(source_at, builder.mul(loop.index, INDEX(STRIP)))
-            values = [_load(builder, source, builder.add(here, INDEX(v))) for v in (0, LANES)]
+            here = builder.add(source_at, builder.mul(loop.index, _index(STRIP)))
+            values = [_load(builder, source, builder.add(here, _index(v))) for v in (0, LANES)]
             start = builder.add(first, builder.mul(loop.index, step))
             for j in range(rows):
-                weight = builder.load(builder.gep(weights, [builder.add(start, builder.mul(INDEX(j), row_step))]))
+                weight = builder.load(builder.gep(weights, [builder.add(start, builder.mul(_index(j), row_step))]))
                 spread = _repeat(builder, weight, LANES)
                 for v in range(2):
                     total = totals[2 * j + v]
@@ -292,7 +296,8 @@ def _combining(rows: int) -> Callable[..., Any]:
 
     def typed(typingctx: Any, weights: Any, first: Any, row_step: Any, step: Any, source: Any, source_at: Any,
               count: Any, target: Any, target_at: Any) -> Any:
-        return types.void(weights, INT, INT, INT, source, INT, INT, target, INT), generate
+        whole = types.int64
+        return types.void(weights, whole, whole, whole, source, whole, whole, target, whole), generate
 
     return typed
 
@@ -313,19 +318,19 @@ def _correlate(typingctx: Any, left: Any, row: Any, rows: Any, right: Any, colum
         def places(first: Any, size: Any, count: int) -> list[Any]:
             found = []
             for k in range(count):
-                here, last = builder.add(first, INDEX(k)), builder.sub(size, INDEX(1))
+                here, last = builder.add(first, _index(k)), builder.sub(size, _index(1))
                 within = builder.select(builder.icmp_signed("<", here, last), here, last)
-                found.append(builder.mul(within, INDEX(STRIP)))
+                found.append(builder.mul(within, _index(STRIP)))
             return found
 
         downs, across = places(row, rows, DOWN), places(column, columns, ACROSS)
-        zero = ir.Constant(VECTOR, [0.0] * LANES)
+        zero = ir.Constant(_vector(), [0.0] * LANES)
         totals = [_variable(builder, zero) for _ in range(DOWN * ACROSS)]
         with cgutils.for_range(builder, strips) as loop:
-            here, there = (builder.mul(loop.index, builder.mul(size, INDEX(STRIP))) for size in (rows, columns))
+            here, there = (builder.mul(loop.index, builder.mul(size, _index(STRIP))) for size in (rows, columns))
             for p in (0, LANES):
-                ones = [_load(builder, left, builder.add(builder.add(place, here), INDEX(p))) for place in downs]
-                others = [_load(builder, right, builder.add(builder.add(place, there), INDEX(p))) for place in across]
+                ones = [_load(builder, left, builder.add(builder.add(place, here), _index(p))) for place in downs]
+                others = [_load(builder, right, builder.add(builder.add(place, there), _index(p))) for place in across]
                 for v in range(DOWN):
                     for u in range(ACROSS):
                         total = totals[ACROSS * v + u]
@@ -336,7 +341,8 @@ def _correlate(typingctx: Any, left: Any, row: Any, rows: Any, right: Any, colum
         _store(builder, builder.fadd(vectors[0], _load(builder, blocks, at)), blocks, at)
         return context.get_dummy_value()
 
-    return types.void(left, INT, INT, right, INT, INT, INT, blocks, INT), generate
+    whole = types.int64
+    return types.void(left, whole, whole, right, whole, whole, whole, blocks, whole), generate
 
 
 def _add_neighbours(builder: Any, a: Any, b: Any) -> Any:

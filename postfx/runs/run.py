@@ -15,7 +15,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy
 import numpy as np
 import OpenImageIO
@@ -141,10 +140,10 @@ def _hashes_of(option: Any) -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """Versions of postfx and of the libraries that affect its pixels."""
-    runtimes = {name: _find_version(name) for name in ("onnxruntime", "onnxruntime-gpu")}
+    installed = {name: _find_version(name) for name in ("numba", "onnxruntime", "onnxruntime-gpu")}
     return {"postfx": __version__, "python": platform.python_version(), "numpy": numpy.__version__,
-            "numba": numba.__version__, "OpenImageIO": OpenImageIO.VERSION_STRING,
-            **{name: version for name, version in runtimes.items() if version}}
+            "OpenImageIO": OpenImageIO.VERSION_STRING,
+            **{name: version for name, version in installed.items() if version}}
 
 
 def _find_version(name: str) -> str | None:

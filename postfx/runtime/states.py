@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from postfx.errors import BindingError, ModelError
+from postfx.kernels.native import bind_rows, compile_rows
 from postfx.runtime.session import Session
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 from postfx.runtime.threads import Band, Helpers
@@ -173,25 +174,25 @@ class CompiledComputeState(ComputeState):
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that runs the rows on bound tensors."""
-        arrays = [tensor.host_view() for tensor in tensors]
+        rows = bind_rows(self._rows, [tensor.host_view() for tensor in tensors])
         count, scratch = self._extent(tensors)[0], self.device.scratch
         if scratch is None:
-            return lambda: self._run(0, count, arrays)
+            return lambda: self._run(0, count, rows)
         row_bytes = sum(tensor.nbytes for tensor in tensors) // max(1, count)
 
         def run_in_pieces() -> None:
             for first, last in scratch.pieces(count, row_bytes):
-                self._run(first, last, arrays)
+                self._run(first, last, rows)
 
         return run_in_pieces
 
-    def _run(self, first: int, last: int, arrays: list[np.ndarray]) -> None:
+    def _run(self, first: int, last: int, rows: Callable[[int, int], None]) -> None:
         count = min(self.device.threads, (last - first) // MINIMUM_ROWS)
         if count < 2:
-            self._rows(first, last, *arrays)
+            rows(first, last)
             return
         edges = [first + (last - first) * band // count for band in range(count + 1)]
-        self.device.helpers.work([Band(self._rows, *edge, arrays) for edge in pairwise(edges)])
+        self.device.helpers.work([Band(rows, *edge) for edge in pairwise(edges)])
 
 
 class CudaComputeState(ComputeState):
@@ -218,16 +219,11 @@ def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:
 
 
 def _compile_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
-    """Compile before the first frame when the ranks are known and `rows` is a Numba function."""
-    compile_for = getattr(kernel.rows, "compile", None)
+    """Compile before the first frame when the ranks are known and `rows` is a kernel's function."""
     shapes = [binding.shape for binding in bindings if binding.shape is not None]
-    if compile_for is None or len(shapes) < len(bindings):
-        return
-    from numba import from_dtype, types
-
-    arrays: list[Any] = [types.Array(from_dtype(np.dtype(binding.dtype)), len(shape), "C")
-                         for binding, shape in zip(bindings, shapes, strict=True)]
-    compile_for((types.int64, types.int64, *arrays))
+    if len(shapes) == len(bindings):
+        compile_rows(kernel.rows, [f"{np.dtype(binding.dtype).str}:{len(shape)}"
+                                   for binding, shape in zip(bindings, shapes, strict=True)])
 
 
 def _session_bindings(

@@ -19,11 +19,9 @@ from functools import cache, partial
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
 from postfx.errors import CommandError, CommandTimeout
+from postfx.kernels.native import intrinsic, ir, types
 from postfx.kernels.numeric import compiled
 
 LOOK = 100e-6
@@ -111,13 +109,12 @@ def _end_all() -> None:
 class Band(NamedTuple):
     """Some rows of a kernel's work."""
 
-    rows: Callable[..., None]
+    rows: Callable[[int, int], None]
     first: int
     last: int
-    arrays: Sequence[np.ndarray]
 
     def work(self) -> None:
-        self.rows(self.first, self.last, *self.arrays)
+        self.rows(self.first, self.last)
 
 
 class Helpers:
@@ -216,13 +213,13 @@ def _place(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 @compiled
 def pauses(count: int) -> None:
     for _ in range(count):
-        pause()  # type: ignore[call-arg]  # Numba gives the first argument
+        pause()
 
 
 @compiled
 def is_taken(flags: np.ndarray, i: int) -> bool:
     """Hand a waiting helper its next band; False if it no longer waits."""
-    return replace_flag(flags, i, WAITING, BUSY)  # type: ignore[call-arg]  # Numba gives the first argument
+    return bool(replace_flag(flags, i, WAITING, BUSY))
 
 
 @compiled
@@ -232,7 +229,7 @@ def is_called(flags: np.ndarray, i: int, looks: int, delay: int) -> bool:
     True if one came, after `delay` pauses in which the thread that gave it can release the interpreter's lock; False if
     the helper goes to sleep.
     """
-    replace_flag(flags, i, BUSY, WAITING)  # type: ignore[call-arg]  # Numba gives the first argument
+    replace_flag(flags, i, BUSY, WAITING)
     for _ in range(looks):
         if load_flag(flags, i) == BUSY:
             pauses(delay)
@@ -245,7 +242,7 @@ def is_called(flags: np.ndarray, i: int, looks: int, delay: int) -> bool:
 def is_done(flags: np.ndarray, i: int, looks: int) -> bool:
     """Spin until a helper is done with its band; False if that takes too long."""
     for _ in range(looks):
-        if load_flag(flags, i) != BUSY:  # type: ignore[call-arg]  # Numba gives the first argument
+        if load_flag(flags, i) != BUSY:
             return True
         pause()
     return False

@@ -14,7 +14,8 @@ from numba.core.dispatcher import Dispatcher
 
 from postfx import kernels, system
 from postfx.kernels import compile_cache, numeric
-from postfx.kernels.compile_cache import CompileWatch, digest
+from postfx.kernels.compile_cache import digest
+from postfx.kernels.native import CompileWatch
 
 SOURCE = """
 import numpy as np

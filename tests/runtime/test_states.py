@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.kernels import Kernel
-from postfx.kernels.compile_cache import CompileWatch
+from postfx.kernels.native import CompileWatch
 from postfx.kernels.numeric import kernel_jit
 from postfx.runtime import ArgumentTable, BindingError, Device, EncodingError, HazardError
 from postfx.runtime.states import could_match, solve
