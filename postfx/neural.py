@@ -10,11 +10,24 @@ from typing import Any
 import numpy as np
 
 from postfx.errors import BindingError, ModelError
-from postfx.kernels.neural import ACTIVATIONS, ADAM, FACTS, FORWARD, GRADIENTS, MOST_LAYERS, MOST_WIDTH
+from postfx.kernels.neural import (
+    ACTIVATIONS,
+    ADAM,
+    FACTS,
+    FORWARD,
+    GRADIENTS,
+    GRID,
+    GRID_PULL,
+    GRID_STEP,
+    MOST_LAYERS,
+    MOST_LEVELS,
+    MOST_WIDTH,
+    SIDES,
+)
 from postfx.runtime import ArgumentTable, ComputeEncoder, Device, Tensor
 from postfx.version import pip_install
 
-__all__ = ["Learner", "Network"]
+__all__ = ["Grid", "Learner", "Network"]
 
 OPSET = 20
 """The first with GELU."""
@@ -166,8 +179,94 @@ class Network:
         Path(path).write_bytes(self.onnx(parameters))
 
 
+@dataclass(frozen=True)
+class Grid:
+    """A hash grid (Mueller 2022): tables whose entries are learnt, and which a network reads interpolated at a point.
+
+    Attributes:
+        dims: how many numbers of a point, from the first on, are its place, in [0, 1]; 2 or 3. Places outside count as
+            on the edge.
+        levels: tables, at most 16.
+        numbers: of an entry.
+        entries: of a table, a power of two; where a level has more corners than that, some share an entry.
+        sides: cells along an axis of the first level and of the last; the others lie between in equal ratios.
+
+    Raises ModelError if these do not fit.
+    """
+
+    dims: int
+    levels: int = 8
+    numbers: int = 2
+    entries: int = 1 << 14
+    sides: tuple[int, int] = (16, 512)
+
+    def __post_init__(self) -> None:
+        if self.dims not in (2, 3) or not 1 <= self.levels <= MOST_LEVELS or not 1 <= self.numbers <= 8:
+            raise ModelError(f"a grid of {self.dims} dims, {self.levels} levels, {self.numbers} numbers: it has 2 or 3 "
+                             f"dims, at most {MOST_LEVELS} levels and at most 8 numbers")
+        if not 1 <= self.sides[0] <= self.sides[1] <= 1 << 16 or not 0 < self.entries <= 1 << 22 or \
+                self.entries & (self.entries - 1):
+            raise ModelError(f"a grid of {self.entries} entries and {self.sides[0]} to {self.sides[1]} cells: entries "
+                             "are a power of two up to 4194304, cells at most 65536")
+
+    @property
+    def width(self) -> int:
+        """How many numbers the network reads of it."""
+        return self.levels * self.numbers
+
+    def facts(self) -> np.ndarray:
+        """The argument `grid` of the kernels."""
+        facts = np.zeros(SIDES + MOST_LEVELS, np.float32)
+        facts[:SIDES] = self.dims, self.numbers, self.entries, self.levels
+        facts[SIDES:SIDES + self.levels] = np.geomspace(*self.sides, self.levels).round()
+        return facts
+
+    def initial(self, seed: int = 0) -> np.ndarray:
+        """Random tables (levels, entries * numbers) in [-1e-4, 1e-4]."""
+        random = np.random.default_rng(seed)
+        return random.uniform(-1e-4, 1e-4, (self.levels, self.entries * self.numbers)).astype(np.float32)
+
+
+class _GridOnDevice:
+    """A grid's tables, their moments, and the commands that read and change them."""
+
+    def __init__(self, device: Device, grid: Grid) -> None:
+        self.grid, self._device, self._rows = grid, device, dict[int, tuple[Tensor, Tensor]]()
+        size = (grid.levels, grid.entries * grid.numbers)
+        self.table = device.heap.tensor("neural grid", size)
+        self._sums = device.heap.tensor("neural grid sums", size, "int64")
+        self._moments = device.heap.tensor("neural grid moments", (*size, 3))
+        self._facts = device.heap.tensor("neural grid facts", grid.facts().shape)
+        self._facts.upload(grid.facts())
+        self._read, self._pull, self._step = map(device.compute_state, (GRID, GRID_PULL, GRID_STEP))
+
+    def restart(self, seed: int) -> None:
+        self.table.upload(self.grid.initial(seed))
+        self._moments.fill(0)
+
+    def rows(self, points: int, inputs: int) -> tuple[Tensor, Tensor]:
+        """What the network reads of so many points, and the derivatives by that."""
+        if points not in self._rows:
+            one, other = (self._device.heap.tensor(f"neural {name}", (points, inputs)) for name in ("rows", "pulls"))
+            self._rows[points] = one, other
+        return self._rows[points]
+
+    def read(self, encoder: ComputeEncoder, points: Tensor, rows: Tensor) -> None:
+        encoder.barrier()  # what ran before may still read the rows
+        encoder.dispatch(self._read, ArgumentTable(self._read, {
+            "grid": self._facts, "table": self.table, "points": points, "rows": rows}))
+        encoder.barrier()
+
+    def learn(self, encoder: ComputeEncoder, points: Tensor, pulls: Tensor, hyper: Tensor) -> None:
+        encoder.dispatch(self._pull, ArgumentTable(self._pull, {
+            "grid": self._facts, "points": points, "pulls": pulls, "sums": self._sums}))
+        encoder.barrier()
+        encoder.dispatch(self._step, ArgumentTable(self._step, {
+            "sums": self._sums, "hyper": hyper, "table": self.table, "moments": self._moments}))
+
+
 class Learner:
-    """A network on a device, with the state of Adam (Kingma 2015).
+    """A network on a device, perhaps behind a hash grid, with the state of Adam (Kingma 2015).
 
     Attributes:
         parameters: tensor (count,), which `learn` changes and `run` reads in the order in which they are recorded.
@@ -175,12 +274,19 @@ class Learner:
     """
 
     def __init__(self, device: Device, network: Network, rate: float = 1e-2, parameters: np.ndarray | None = None,
-                 seed: int = 0) -> None:
+                 seed: int = 0, grid: Grid | None = None) -> None:
         """
         Args:
             rate: step size of Adam.
             parameters: (count,) to begin with; default `network.initial(seed)`.
+            grid: replaces a point's place by what its tables hold there: the network's inputs are those numbers and the
+                rest of the point.
+
+        Raises ModelError if the network has fewer inputs than the grid gives, or bands.
         """
+        if grid and (network.bands or network.inputs < grid.width):
+            raise ModelError(f"a network of {network.inputs} inputs and {network.bands} bands behind a grid: it needs "
+                             f"at least {grid.width} inputs and no bands")
         self.device, self.network = device, network
         self.parameters = device.heap.tensor("neural parameters", (network.count,))
         self.moments = device.heap.tensor("neural moments", (network.count, 3))
@@ -189,28 +295,42 @@ class Learner:
         self._facts.upload(network.facts())
         self._forward, self._gradients, self._adam = map(device.compute_state, (FORWARD, GRADIENTS, ADAM))
         self._partials: dict[int, Tensor] = {}
+        self._grid = _GridOnDevice(device, grid) if grid else None
+        self._inputs = network.inputs - grid.width + grid.dims if grid else network.inputs
+        self._no_pulls = device.heap.tensor("no pulls", (1, network.inputs))
         self._last: Tensor | None = None
         self.set_rate(rate)
-        self.restart(network.initial(seed) if parameters is None else parameters)
+        self.restart(network.initial(seed) if parameters is None else parameters, seed)
+
+    @property
+    def table(self) -> Tensor:
+        """The grid's entries (levels, entries * numbers). Raises BindingError without a grid."""
+        if self._grid is None:
+            raise BindingError("this network has no grid")
+        return self._grid.table
 
     def set_rate(self, rate: float) -> None:
         """Change Adam's step size. No command that learns may be in flight."""
         self._hyper.upload(np.array([rate, *DECAYS, EPSILON], np.float32))
 
-    def restart(self, parameters: np.ndarray) -> None:
-        """Begin anew with these parameters (count,). No command that uses the network may be in flight."""
+    def restart(self, parameters: np.ndarray, seed: int = 0) -> None:
+        """Begin anew with these parameters (count,), a grid with random entries. No command that uses the network may
+        be in flight."""
         if parameters.shape != (self.network.count,):
             raise BindingError(f"parameters have the shape {parameters.shape}: this network has "
                                f"({self.network.count},)")
         self.parameters.upload(parameters.astype(np.float32))
         self.moments.fill(0)
+        if self._grid:
+            self._grid.restart(seed)
 
     def run(self, encoder: ComputeEncoder, points: Tensor, values: Tensor) -> None:
         """Record the network: points (points, inputs) -> values (points, outputs)."""
-        self._check(points, self.network.inputs, points.shape[0])
+        self._check(points, self._inputs, points.shape[0])
         self._check(values, self.network.outputs, points.shape[0])
+        rows, _ = self._read(encoder, points)
         encoder.dispatch(self._forward, ArgumentTable(self._forward, {
-            "network": self._facts, "parameters": self.parameters, "points": points, "values": values}))
+            "network": self._facts, "parameters": self.parameters, "points": rows, "values": values}))
 
     def learn(self, encoder: ComputeEncoder, points: Tensor, targets: Tensor) -> None:
         """Record one step of Adam on the mean squared error, and barriers around its update of the parameters.
@@ -219,20 +339,31 @@ class Learner:
             points: (points, inputs).
             targets: (points, outputs); a point with one that is not finite is left out.
         """
-        self._check(points, self.network.inputs, points.shape[0])
+        self._check(points, self._inputs, points.shape[0])
         self._check(targets, self.network.outputs, points.shape[0])
+        rows, pulls = self._read(encoder, points)
         least, most = GROUPS if self.device.memory.host_visible else GPU_GROUPS
         groups = min(most, -(-points.shape[0] // least))
         if groups not in self._partials:
             self._partials[groups] = self.device.heap.tensor("neural partials", (groups, self.network.count + 1))
         partials = self._last = self._partials[groups]
         encoder.dispatch(self._gradients, ArgumentTable(self._gradients, {
-            "network": self._facts, "parameters": self.parameters, "points": points, "targets": targets,
-            "partials": partials}))
+            "network": self._facts, "parameters": self.parameters, "points": rows, "targets": targets,
+            "partials": partials, "pulls": pulls}))
         encoder.barrier()
         encoder.dispatch(self._adam, ArgumentTable(self._adam, {
             "partials": partials, "hyper": self._hyper, "parameters": self.parameters, "moments": self.moments}))
+        if self._grid:
+            self._grid.learn(encoder, points, pulls, self._hyper)
         encoder.barrier()
+
+    def _read(self, encoder: ComputeEncoder, points: Tensor) -> tuple[Tensor, Tensor]:
+        """What the network reads of points, and where the derivatives by it go."""
+        if self._grid is None:
+            return points, self._no_pulls
+        rows, pulls = self._grid.rows(points.shape[0], self.network.inputs)
+        self._grid.read(encoder, points, rows)
+        return rows, pulls
 
     def fit(self, points: np.ndarray, targets: np.ndarray, steps: int, rate: float, batch: int = 8192,
             random: np.random.Generator | None = None) -> None:

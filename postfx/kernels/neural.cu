@@ -266,12 +266,12 @@ extern "C" __global__ void __launch_bounds__(256) neural_forward(View network, V
 }
 
 // The gradients of one layer: of its parameters, added to `sums`; and of what it reads, which takes the place of the
-// slopes there.
+// slopes there, or for the first layer goes to rows of `pulls` of `count` points.
 __device__ inline void pull_back(const Layer& layer, const Layer& sums, const float* reads, const float* deltas,
-                                 float* slopes, int points) {
-    const int high = (layer.makes + 15) / 16, wide = (layer.reads + 31) / 32, tiles = points / 16;
+                                 float* slopes, int points, float* pulls, int count, int inputs) {
+    const int high = (layer.makes + 15) / 16, wide = (layer.reads + 31) / 32, tiles = slopes || pulls ? points / 16 : 0;
     const int read_stride = stride_of(layer.reads), made_stride = stride_of(layer.makes);
-    for (int tile = threadIdx.x / 32; tile < (slopes ? high + tiles : high) * wide; tile += NEURAL_THREADS / 32) {
+    for (int tile = threadIdx.x / 32; tile < (high + tiles) * wide; tile += NEURAL_THREADS / 32) {
         float found[4][4] = {};
         const int i = tile % wide * 32, row = tile / wide * 16;
         if (row < 16 * high) {
@@ -286,9 +286,12 @@ __device__ inline void pull_back(const Layer& layer, const Layer& sums, const fl
             multiply(found, {deltas + p * made_stride, made_stride, 1},
                            {layer.weights + i, layer.stride, 1}, layer.makes, layer.reads - i, true);
             spread(found, [&](int r, int c, float sum) {
-                if (i + c >= padded(layer.reads)) return;
-                float& slope = slopes[(p + r) * read_stride + i + c];
-                slope = i + c < layer.reads ? slope * sum : 0.0f;
+                if (pulls) {
+                    if (p + r < count && i + c < inputs) pulls[(p + r) * inputs + i + c] = sum;
+                } else if (i + c < padded(layer.reads)) {
+                    float& slope = slopes[(p + r) * read_stride + i + c];
+                    slope = i + c < layer.reads ? slope * sum : 0.0f;
+                }
             });
         }
     }
@@ -306,7 +309,7 @@ __device__ inline void pull_back(const Layer& layer, const Layer& sums, const fl
 // One group of points: all layers forwards and backwards.
 template <bool SHARED>
 __device__ inline void learn_group(const Network& net, float* weights, float* sums, int most, View points, View targets,
-                                   int begin, int end, double& error) {
+                                   View pulls, int begin, int end, double& error) {
     const int last = net.layers, kind = net.activation, outputs = net.size[last], stride = stride_of(outputs);
     float* const changes = memory + most * (net.rows[last] - net.rows[1]);  // from layer 1 on
     float* const result = changes + most * net.rows[last];
@@ -335,18 +338,20 @@ __device__ inline void learn_group(const Network& net, float* weights, float* su
             }
         }
         __syncthreads();
+        float* const pulled = pulls.size[0] == points.size[0] ? pulls.at + size_t(first) * net.inputs : nullptr;
         for (int index = last - 1; index >= 0; index--) {
             const Layer layer = layer_of(net, index, weights, SHARED), into = layer_of(net, index, sums, SHARED);
             pull_back(layer, into, memory + most * net.rows[index], changes + most * net.rows[index + 1],
-                      index ? changes + most * net.rows[index] : nullptr, most);
+                      index ? changes + most * net.rows[index] : nullptr, most, index ? nullptr : pulled, count,
+                      net.inputs);
         }
     }
 }
 
 // network (12,), parameters (count,), points (points, inputs), targets (points, outputs) -> partials (groups, count +
-// 1): a block for a group.
+// 1), and pulls (points, inputs) or (1, inputs): a block for a group.
 extern "C" __global__ void __launch_bounds__(256) neural_gradients(View network, View parameters, View points,
-                                                                   View targets, View partials) {
+                                                                   View targets, View partials, View pulls) {
     __shared__ double errors[NEURAL_THREADS];
     __shared__ Network net;
     read_network(network, net);
@@ -364,7 +369,7 @@ extern "C" __global__ void __launch_bounds__(256) neural_gradients(View network,
         float *const weights = memory + used, *const found = weights + space;
         load_layers(net, parameters.at, weights);
         for (int k = threadIdx.x; k < space; k += NEURAL_THREADS) found[k] = 0.0f;
-        learn_group<true>(net, weights, found, most, points, targets, begin, end, error);
+        learn_group<true>(net, weights, found, most, points, targets, pulls, begin, end, error);
         for (int index = 0; index < net.layers; index++) {
             const Layer from = layer_of(net, index, found, true), to = layer_of(net, index, gradients, false);
             for (int k = threadIdx.x; k < to.reads * to.makes; k += NEURAL_THREADS) {
@@ -375,7 +380,7 @@ extern "C" __global__ void __launch_bounds__(256) neural_gradients(View network,
     } else {
         for (int k = threadIdx.x; k < sums - 1; k += NEURAL_THREADS) gradients[k] = 0.0f;
         __syncthreads();
-        learn_group<false>(net, parameters.at, gradients, most, points, targets, begin, end, error);
+        learn_group<false>(net, parameters.at, gradients, most, points, targets, pulls, begin, end, error);
     }
     errors[threadIdx.x] = error;
     __syncthreads();
@@ -383,6 +388,18 @@ extern "C" __global__ void __launch_bounds__(256) neural_gradients(View network,
         for (int k = 1; k < most; k++) error += errors[k];
         gradients[sums - 1] = float(error / (double(total) * net.size[net.layers]));
     }
+}
+
+// A step of one parameter, whose moments are a row of three.
+__device__ inline void adam_step(float gradient, const View& hyper, float* row, float& parameter) {
+    const float rate = hyper.at[0], slow = hyper.at[1], slower = hyper.at[2], epsilon = hyper.at[3];
+    const double step = row[2] + 1.0;
+    const float size = float(rate / (1.0 - pow(double(slow), step)));
+    const float scale = float(1.0 / sqrt(1.0 - pow(double(slower), step)));
+    row[0] = slow * row[0] + (1.0f - slow) * gradient;
+    row[1] = slower * row[1] + (1.0f - slower) * gradient * gradient;
+    row[2] = float(step);
+    parameter -= size * row[0] / (sqrtf(row[1]) * scale + epsilon);
 }
 
 // partials (groups, count + 1), hyper (4,), parameters (count,), moments (count, 3): the last two change in place. A
@@ -399,13 +416,79 @@ extern "C" __global__ void __launch_bounds__(256) neural_adam(View partials, Vie
     __syncthreads();
     if (threadIdx.x >= 8 || y >= count) return;
     for (int k = 8 + threadIdx.x; k < NEURAL_THREADS; k += 8) gradient += parts[k];
-    float* const row = moments.at + 3 * size_t(y);
-    const float rate = hyper.at[0], slow = hyper.at[1], slower = hyper.at[2], epsilon = hyper.at[3];
-    const double step = row[2] + 1.0;
-    const float size = float(rate / (1.0 - pow(double(slow), step)));
-    const float scale = float(1.0 / sqrt(1.0 - pow(double(slower), step)));
-    row[0] = slow * row[0] + (1.0f - slow) * gradient;
-    row[1] = slower * row[1] + (1.0f - slower) * gradient * gradient;
-    row[2] = float(step);
-    parameters.at[y] -= size * row[0] / (sqrtf(row[1]) * scale + epsilon);
+    adam_step(gradient, hyper, moments.at + 3 * size_t(y), parameters.at[y]);
+}
+
+struct Corner {
+    int entry;
+    float share;
+};
+
+// A corner of the cell of a grid's level that a point lies in.
+__device__ inline Corner corner_of(const View& grid, int level, const float* point, int corner) {
+    const unsigned primes[3] = {1u, 2654435761u, 805459861u};
+    const int dims = int(grid.at[0]), entries = int(grid.at[2]), side = int(grid.at[4 + level]);
+    long long corners = 1;
+    for (int axis = 0; axis < dims; axis++) corners *= side + 1;
+    unsigned entry = 0, step = 1;
+    float share = 1.0f;
+    for (int axis = 0; axis < dims; axis++) {
+        const float place = point[axis] > 0.0f ? fminf(point[axis], 1.0f) * float(side) : 0.0f;
+        const int cell = min(int(place), side - 1), bit = corner >> axis & 1;
+        const float rest = place - float(cell);
+        share *= bit ? rest : 1.0f - rest;
+        if (corners <= entries) {
+            entry += unsigned(cell + bit) * step;
+            step *= unsigned(side + 1);
+        } else {
+            entry ^= unsigned(cell + bit) * primes[axis];
+        }
+    }
+    return {int(entry & unsigned(entries - 1)), share};
+}
+
+// grid (20,), table (levels, entries * numbers), points (points, dims + others) -> rows (points, levels * numbers +
+// others).
+extern "C" __global__ void neural_grid(View grid, View table, View points, View rows) {
+    const int dims = int(grid.at[0]), numbers = int(grid.at[1]), levels = int(grid.at[3]);
+    PIXEL(rows.size[1], rows.size[0]);
+    const float* const point = points.at + size_t(y) * points.size[1];
+    const int level = x / numbers;
+    float value = 0.0f;
+    if (level >= levels) value = point[dims + x - levels * numbers];
+    for (int corner = 0; level < levels && corner < 1 << dims; corner++) {
+        const Corner found = corner_of(grid, level, point, corner);
+        value += found.share * table.at[size_t(level) * table.size[1] + found.entry * numbers + x % numbers];
+    }
+    rows.at[size_t(y) * rows.size[1] + x] = value;
+}
+
+// grid (20,), points (points, dims + others), pulls (points, inputs) -> sums (levels, entries * numbers) int64, in units
+// of 2^-44: a block for a level.
+extern "C" __global__ void __launch_bounds__(256) neural_grid_pull(View grid, View points, View pulls, View sums) {
+    const int dims = int(grid.at[0]), numbers = int(grid.at[1]), level = blockIdx.y;
+    unsigned long long* const row = reinterpret_cast<unsigned long long*>(sums.at) + size_t(level) * sums.size[1];
+    for (int k = threadIdx.x; k < sums.size[1]; k += NEURAL_THREADS) row[k] = 0;
+    __syncthreads();
+    for (int p = threadIdx.x; p < points.size[0]; p += NEURAL_THREADS) {
+        const float* const pull = pulls.at + size_t(p) * pulls.size[1] + level * numbers;
+        for (int corner = 0; corner < 1 << dims; corner++) {
+            const Corner found = corner_of(grid, level, points.at + size_t(p) * points.size[1], corner);
+            for (int k = 0; k < numbers; k++) {
+                const long long units = llrint(double(found.share * pull[k]) * 17592186044416.0);
+                if (units) atomicAdd(row + found.entry * numbers + k, (unsigned long long)(units));
+            }
+        }
+    }
+}
+
+// sums (levels, entries * numbers) int64, hyper (4,), table (levels, entries * numbers), moments (levels, entries *
+// numbers, 3): the last two change in place.
+extern "C" __global__ void neural_grid_step(View sums, View hyper, View table, View moments) {
+    PIXEL(table.size[1], table.size[0]);
+    const size_t at = size_t(y) * table.size[1] + x;
+    const long long units = reinterpret_cast<const long long*>(sums.at)[at];
+    if (units == 0) return;
+    const float gradient = float(double(units) / 17592186044416.0);
+    adam_step(gradient, hyper, moments.at + 3 * at, table.at[at]);
 }

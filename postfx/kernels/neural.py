@@ -7,12 +7,23 @@ A point's inputs are followed by sin(2^k pi x) and cos(2^k pi x) of the first `e
 - `GRADIENTS`: the same and targets (points, outputs) -> partials (groups, count + 1). A group has equally many points,
   to one; its row holds its share of the gradient of the mean squared error, and of that error. A point with a target
   that is not finite adds nothing to either.
+  pulls (points, inputs) get that error's derivatives by the inputs; with another number of rows they are left alone.
 - `ADAM`: the sum of the partials by groups, and one step of Adam (Kingma 2015): hyper (4,) is the step size, the two
   decays and epsilon. parameters (count,) and moments (count, 3), whose last number counts steps, change in place.
 
 network (12,) holds numbers of layers, inputs, encoded inputs, bands, the activation, and the sizes from what the first
 layer reads to the last layer's outputs. Parameters are of each layer the weights (outputs, inputs) and the biases, as
 torch orders them. Sums have a fixed order: results do not depend on threads.
+
+A hash grid (Mueller 2022) makes the numbers that a network reads of a point in [0, 1]^dims. On each level the point
+lies in a cell of a regular grid; the numbers at its corners, which are entries of a table, are interpolated.
+
+- `GRID`: grid (20,), table (levels, entries * numbers), points (points, dims + others) -> rows (points, levels *
+  numbers + others). grid holds dims, numbers, entries (a power of two), levels, and each level's cells along an axis.
+- `GRID_PULL`: grid, points and pulls as above -> sums (levels, entries * numbers), the derivatives by the table in
+  units of 1 / UNITS: whole numbers, whose sum is the same in any order.
+- `GRID_STEP`: one step of Adam for entries that a point reached; table and moments (levels, entries * numbers, 3)
+  change in place.
 """
 
 from __future__ import annotations
@@ -30,6 +41,10 @@ ACTIVATIONS = ("relu", "gelu", "sine")
 RELU, GELU, SINE = range(3)
 STRIPS = 8
 """Strips whose layers are kept until their gradients are summed: few enough for a core's cache."""
+MOST_LEVELS = 16
+DIMS, NUMBERS, ENTRIES, LEVELS, SIDES = range(5)
+PRIMES = (1, 2654435761, 805459861)
+UNITS = 2.0 ** 44
 ZERO, HALF, ONE, PI = np.float32(0), np.float32(0.5), np.float32(1), np.float32(np.pi)
 
 
@@ -206,6 +221,18 @@ def pull_back(network: np.ndarray, parameters: np.ndarray, deltas: np.ndarray, s
         multiply(spare[:size], deltas[layer][strip * size:(strip + 1) * size])
 
 
+@compiled
+def pull_inputs(network: np.ndarray, parameters: np.ndarray, deltas: np.ndarray, strip: int, spare: np.ndarray,
+                pulls: np.ndarray) -> None:
+    """Derivatives by the inputs of a strip's points, one in a row of `pulls`."""
+    reads, makes = int(network[SIZES]), int(network[SIZES + 1])
+    spare[:reads * STRIP] = ZERO
+    combine(parameters, 0, 1, reads, deltas[1], strip * makes * STRIP, makes, spare, 0, reads)
+    for p in range(pulls.shape[0]):
+        for k in range(pulls.shape[1]):
+            pulls[p, k] = spare[k * STRIP + p]
+
+
 @summed
 def sum_of(row: np.ndarray) -> Real:
     total = ZERO
@@ -252,7 +279,7 @@ def blocks_of(network: np.ndarray) -> int:
 
 @compiled
 def gradient_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray, points: np.ndarray,
-                  targets: np.ndarray, partials: np.ndarray) -> None:
+                  targets: np.ndarray, partials: np.ndarray, pulls: np.ndarray) -> None:
     total, groups, last = points.shape[0], partials.shape[0], int(network[LAYERS])
     outputs, wide = targets.shape[1], widest(network) * STRIP
     share = np.float32(1 / (total * outputs))
@@ -274,6 +301,8 @@ def gradient_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray,
                 here = slice(strips * size, (strips + 1) * size)
                 error += compare(layers[last][here], targets, first, count, share, deltas[last][here])
                 pull_back(network, parameters, deltas, strips, spare)
+                if pulls.shape[0] == total:
+                    pull_inputs(network, parameters, deltas, strips, spare, pulls[first:first + count])
                 first += count
                 strips += 1
             add_gradients(network, layers, deltas, strips, blocks, gradients)
@@ -300,6 +329,69 @@ def adam_rows(y0: int, y1: int, partials: np.ndarray, hyper: np.ndarray, paramet
         parameters[y0 + k] -= size * row[0] / (np.sqrt(row[1]) * scale + epsilon)
 
 
+@compiled
+def corner_of(grid: np.ndarray, level: int, point: np.ndarray, corner: int) -> tuple[int, Real]:
+    """The entry of a corner of the cell that a point lies in, and its share."""
+    entries, side = int(grid[ENTRIES]), int(grid[SIDES + level])
+    is_dense = (side + 1) ** int(grid[DIMS]) <= entries
+    index, step, share = 0, 1, ONE
+    for axis in range(int(grid[DIMS])):
+        place = min(point[axis], ONE) * np.float32(side) if point[axis] > ZERO else ZERO
+        cell = min(int(place), side - 1)
+        rest, bit = place - np.float32(cell), corner >> axis & 1
+        share *= rest if bit else ONE - rest
+        if is_dense:
+            index += (cell + bit) * step
+            step *= side + 1
+        else:
+            index ^= (cell + bit) * PRIMES[axis]
+    return index & (entries - 1), share
+
+
+@compiled
+def grid_rows(y0: int, y1: int, grid: np.ndarray, table: np.ndarray, points: np.ndarray, rows: np.ndarray) -> None:
+    dims, numbers, levels = int(grid[DIMS]), int(grid[NUMBERS]), int(grid[LEVELS])
+    for p in range(y0, y1):
+        rows[p, :levels * numbers] = ZERO
+        for level in range(levels):
+            for corner in range(1 << dims):
+                index, share = corner_of(grid, level, points[p], corner)
+                for k in range(numbers):
+                    rows[p, level * numbers + k] += share * table[level, index * numbers + k]
+        for k in range(dims, points.shape[1]):
+            rows[p, levels * numbers + k - dims] = points[p, k]
+
+
+@compiled
+def grid_pull_rows(y0: int, y1: int, grid: np.ndarray, points: np.ndarray, pulls: np.ndarray, sums: np.ndarray) -> None:
+    numbers = int(grid[NUMBERS])
+    for level in range(y0, y1):
+        sums[level] = 0
+        for p in range(points.shape[0]):
+            for corner in range(1 << int(grid[DIMS])):
+                index, share = corner_of(grid, level, points[p], corner)
+                for k in range(numbers):
+                    pull = np.float64(share * pulls[p, level * numbers + k])
+                    sums[level, index * numbers + k] += np.int64(np.rint(pull * UNITS))
+
+
+@compiled
+def grid_step_rows(y0: int, y1: int, sums: np.ndarray, hyper: np.ndarray, table: np.ndarray,
+                   moments: np.ndarray) -> None:
+    rate, slow, slower, epsilon = hyper[0], hyper[1], hyper[2], hyper[3]
+    for level in range(y0, y1):
+        for k in range(table.shape[1]):
+            if sums[level, k] == 0:
+                continue
+            gradient, row = np.float32(sums[level, k] / UNITS), moments[level, k]
+            row[0] = slow * row[0] + (ONE - slow) * gradient
+            row[1] = slower * row[1] + (ONE - slower) * gradient * gradient
+            row[2] += ONE
+            size = np.float32(rate / (1 - np.float64(slow) ** np.float64(row[2])))
+            scale = np.float32(1 / np.sqrt(1 - np.float64(slower) ** np.float64(row[2])))
+            table[level, k] -= size * row[0] / (np.sqrt(row[1]) * scale + epsilon)
+
+
 _SHAPES: dict[str, tuple[int | str, ...]] = {
     "network": (FACTS,), "parameters": ("count",), "points": ("points", "inputs")}
 _THREADS = 256
@@ -307,11 +399,25 @@ FORWARD = Kernel(
     "neural_forward", ("network", "parameters", "points"), ("values",), forward_rows, ("values", 0),
     {**_SHAPES, "values": ("points", "outputs")}, blocks=Blocks(64, _THREADS, 112 << 10, 264))
 GRADIENTS = Kernel(
-    "neural_gradients", ("network", "parameters", "points", "targets"), ("partials",), gradient_rows, ("partials", 0),
-    {**_SHAPES, "targets": ("points", "outputs"), "partials": ("groups", "sums")},
+    "neural_gradients", ("network", "parameters", "points", "targets"), ("partials", "pulls"), gradient_rows,
+    ("partials", 0),
+    {**_SHAPES, "targets": ("points", "outputs"), "partials": ("groups", "sums"), "pulls": ("pulled", "inputs")},
     blocks=Blocks(1, _THREADS, 224 << 10))
 ADAM = Kernel(
     "neural_adam", ("partials", "hyper", "parameters", "moments"), ("parameters", "moments"), adam_rows,
     ("moments", 0),
     {"partials": ("groups", "sums"), "hyper": (4,), "parameters": ("count",), "moments": ("count", 3)},
     blocks=Blocks(8, _THREADS))
+_GRID: dict[str, tuple[int | str, ...]] = {
+    "grid": (SIDES + MOST_LEVELS,), "table": ("levels", "entries"), "points": ("points", "axes"),
+    "sums": ("levels", "entries"), "moments": ("levels", "entries", 3), "hyper": (4,)}
+GRID = Kernel(
+    "neural_grid", ("grid", "table", "points"), ("rows",), grid_rows, ("rows", 0),
+    {**{name: _GRID[name] for name in ("grid", "table", "points")}, "rows": ("points", "inputs")})
+GRID_PULL = Kernel(
+    "neural_grid_pull", ("grid", "points", "pulls"), ("sums",), grid_pull_rows, ("sums", 0),
+    {**{name: _GRID[name] for name in ("grid", "points", "sums")}, "pulls": ("points", "inputs")}, {"sums": "int64"},
+    blocks=Blocks(1, _THREADS))
+GRID_STEP = Kernel(
+    "neural_grid_step", ("sums", "hyper", "table", "moments"), ("table", "moments"), grid_step_rows, ("table", 0),
+    {name: _GRID[name] for name in ("sums", "hyper", "table", "moments")}, {"sums": "int64"})

@@ -106,6 +106,12 @@ static void meet(int warp) {
     while (products[warp] == now) give_way();
 }
 
+static unsigned long long atomicAdd(unsigned long long* at, unsigned long long more) {
+    const unsigned long long before = *at;
+    *at += more;
+    return before;
+}
+
 static float exchanged[8][32];
 
 static float __shfl_xor_sync(unsigned, float value, int mask) {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import replace
 from itertools import pairwise
@@ -12,9 +13,9 @@ import pytest
 import torch
 
 from postfx.errors import BindingError, ModelError
-from postfx.kernels.neural import ADAM, FORWARD, GRADIENTS
+from postfx.kernels.neural import ADAM, FORWARD, GRADIENTS, GRID, GRID_PULL, GRID_STEP, UNITS
 from postfx.kernels.vectors import LANES, STRIP, combine, correlate, count_blocks, open_blocks
-from postfx.neural import DECAYS, EPSILON, Learner, Network
+from postfx.neural import DECAYS, EPSILON, Grid, Learner, Network
 from postfx.runtime import ArgumentTable, Device, Library
 from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda
@@ -183,14 +184,16 @@ def test_cuda_kernels_compute_what_the_compiled_rows_do(network, shared):
     twin = Twin(network, 150)
     inputs = {"network": network.facts(), "parameters": twin.start, "points": twin.points, "targets": twin.targets}
     inputs["targets"][5, 0] = np.inf
-    sizes = {FORWARD: ("values", twin.targets.shape), GRADIENTS: ("partials", (2, network.count + 1))}
-    for kernel, (name, size) in sizes.items():
+    sizes = {"values": twin.targets.shape, "pulls": twin.points.shape, "partials": (2, network.count + 1)}
+    for kernel, rows in ((FORWARD, len(twin.points)), (GRADIENTS, 2)):
         given = {binding: inputs[binding] for binding in kernel.reads}
-        wanted, found = np.full(size, np.nan, np.float32), np.full(size, np.nan, np.float32)
-        kernel.rows(0, size[0], *given.values(), wanted)
+        wanted, found = ({name: np.full(sizes[name], np.nan, np.float32) for name in kernel.writes} for _ in range(2))
+        kernel.rows(0, rows, *given.values(), *wanted.values())
         blocks = replace(kernel.blocks, shared=shared or kernel.blocks.shared, most=2 if shared else 264)
-        host_cuda.run(replace(kernel, blocks=blocks), given | {name: found})
-        np.testing.assert_allclose(found, wanted, atol=1e-5, rtol=1e-5)
+        host_cuda.run(replace(kernel, blocks=blocks), given | found)
+        for name, array in wanted.items():
+            np.testing.assert_allclose(found[name], array, atol=1e-5, rtol=1e-5)
+    wanted = wanted["partials"]
     hyper = np.float32([0.01, *DECAYS, EPSILON])
     states = [(twin.start.copy(), np.full((network.count, 3), 0.5, np.float32)) for _ in range(2)]
     ADAM.rows(0, network.count, wanted, hyper, *states[0])
@@ -225,6 +228,116 @@ def test_the_onnx_form_reads_the_tensor_that_learning_writes(network, tmp_path):
     assert [binding.name for binding in closed.bindings] == ["points", "values"]
 
 
+class GridTwin:
+    """A network behind a grid, in torch."""
+
+    def __init__(self, dims: int) -> None:
+        random = np.random.default_rng(0)
+        self.grid = Grid(dims, levels=5, numbers=2, entries=256, sides=(4, 40))  # the first levels fit, others share
+        self.network = Network(self.grid.width + 1, (16,), 2, "gelu")
+        self.start = self.network.initial(1)
+        self.table = torch.nn.Parameter(torch.from_numpy(random.normal(0, 1, (5, 512)).astype(np.float32)))
+        self.points = random.uniform(-0.1, 1.1, (600, dims + 1)).astype(np.float32)
+        self.targets = random.normal(size=(600, 2)).astype(np.float32)
+
+    def values(self) -> torch.Tensor:
+        points, parts = torch.from_numpy(self.points), []
+        place = points[:, :self.grid.dims].clamp(0, 1)
+        for level, side in enumerate((4, 7, 13, 22, 40)):
+            cell = (place * side).floor().clamp(max=side - 1).long()
+            rest, value = place * side - cell, 0
+            for corner in itertools.product((0, 1), repeat=self.grid.dims):
+                at = cell + torch.tensor(corner)
+                share = torch.where(torch.tensor(corner) == 1, rest, 1 - rest).prod(1)
+                if (side + 1) ** self.grid.dims <= 256:
+                    entry = (at * (side + 1) ** torch.arange(self.grid.dims)).sum(1)
+                else:
+                    entry = torch.zeros(len(at), dtype=torch.long)
+                    for axis, prime in enumerate((1, 2654435761, 805459861)[:self.grid.dims]):
+                        entry ^= at[:, axis] * prime
+                value = value + share[:, None] * self.table[level].reshape(256, 2)[entry & 255]
+            parts.append(value)
+        row = torch.cat([*parts, points[:, self.grid.dims:]], 1)
+        (first, bias), (last, other) = ([torch.from_numpy(part) for part in layer]
+                                        for layer in self.network.layers(self.start.copy()))
+        return torch.nn.functional.gelu(row @ first.T + bias) @ last.T + other
+
+
+def check_grid(dims: int, device: Device) -> None:
+    """Values, derivatives by the table and a step of Adam are those of torch; again, they are the same bits."""
+    twin, found = GridTwin(dims), []
+    values = twin.values()
+    ((values - torch.from_numpy(twin.targets)) ** 2).mean().backward()
+    wanted = twin.table.grad.numpy().copy()
+    before = twin.table.detach().numpy().copy()
+    torch.optim.Adam([twin.table], 1e-2, DECAYS, EPSILON).step()
+    for _ in range(2):
+        learner = Learner(device, twin.network, 1e-2, twin.start, grid=twin.grid)
+        learner.table.upload(before)
+        points, targets = device.wrap("points", twin.points), device.wrap("targets", twin.targets)
+        made = device.heap.tensor("values", twin.targets.shape)
+        commands = device.command_buffer("frame")
+        with commands.compute_encoder("network") as encoder:
+            learner.run(encoder, points, made)
+            learner.learn(encoder, points, targets)
+        commands.commit()
+        commands.wait()
+        found.append((made.download(), learner._grid._sums.download() / UNITS, learner.table.download()))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_allclose(found[0][0], values.detach(), atol=1e-5)
+    np.testing.assert_allclose(found[0][1], wanted, atol=1e-7)
+    clear = abs(wanted) > 1e-6  # the sign of a step from less is that of rounding
+    np.testing.assert_allclose(found[0][2][clear], twin.table.detach().numpy()[clear], atol=1e-5)
+    np.testing.assert_array_equal(found[0][2][wanted == 0], before[wanted == 0])
+    assert clear.sum() > 500
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+def test_a_hash_grid_learns_as_in_torch(dims):
+    check_grid(dims, Device("cpu", threads=2))
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
+@pytest.mark.parametrize("dims", [2, 3])
+def test_a_hash_grid_on_a_gpu(dims):
+    check_grid(dims, Device("cuda"))
+
+
+@pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
+@pytest.mark.parametrize("dims", [2, 3])
+def test_the_cuda_kernels_of_a_grid_compute_what_the_compiled_rows_do(dims):
+    twin, random = GridTwin(dims), np.random.default_rng(2)
+    table, pulls = twin.table.detach().numpy(), random.normal(size=(600, 11)).astype(np.float32)
+    inputs = {"grid": twin.grid.facts(), "table": table, "points": twin.points, "pulls": pulls}
+    for kernel, name, made in ((GRID, "rows", np.empty((600, 11), np.float32)),
+                               (GRID_PULL, "sums", np.empty((5, 512), np.int64))):
+        given, found = {binding: inputs[binding] for binding in kernel.reads}, np.zeros_like(made)
+        kernel.rows(0, len(made), *given.values(), made)
+        host_cuda.run(kernel, given | {name: found})
+        np.testing.assert_allclose(found / UNITS, made / UNITS, atol=1e-6)
+    hyper = np.float32([0.01, *DECAYS, EPSILON])
+    states = [(table.copy(), np.full((5, 512, 3), 0.5, np.float32)) for _ in range(2)]
+    GRID_STEP.rows(0, 5, made, hyper, *states[0])
+    host_cuda.run(GRID_STEP, {"sums": made, "hyper": hyper, "table": states[1][0], "moments": states[1][1]})
+    for one, other in zip(*states, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+def test_a_picture_is_learnt_by_a_grid():
+    """Better than by Fourier features in as many steps."""
+    random, errors = np.random.default_rng(0), []
+    places = random.uniform(0, 1, (4096, 2)).astype(np.float32)
+    wanted = np.sign(np.sin(40 * places[:, :1]) * np.sin(31 * places[:, 1:])).astype(np.float32)
+    grid = Grid(2, levels=8, entries=1 << 12, sides=(8, 128))
+    for learner in (Learner(Device("cpu", threads=2), Network(grid.width, (32,), 1), 1e-2, grid=grid),
+                    Learner(Device("cpu", threads=2), Network(2, (32,), 1, bands=5), 1e-2)):
+        in_frame(learner.device, learner, places, wanted, 60)
+        errors.append(learner.error())
+    assert errors[0] < 0.2 * errors[1]
+
+
 def test_products_of_odd_sizes():
     random = np.random.default_rng(0)
     for rows, count in pairwise((1, 3, 4, 8, 17, 33)):
@@ -255,6 +368,13 @@ def test_fitting_learns_and_is_repeatable():
 
 
 def test_what_does_not_fit_is_told():
+    for wrong, said in (((4,), "2 or 3"), ((2, 20), "at most 16"), ((2, 8, 2, 1000), "a power of two")):
+        with pytest.raises(ModelError, match=said):
+            Grid(*wrong)
+    with pytest.raises(ModelError, match="needs at least 16 inputs"):
+        Learner(Device("cpu", threads=1), NETWORKS[0], grid=Grid(3))
+    with pytest.raises(BindingError, match="no grid"):
+        _ = Learner(Device("cpu", threads=1), NETWORKS[0]).table
     for wrong, said in (((3, (200,), 3), "1 to 128"), ((3, (4,) * 5, 3), "at most 4"), ((3, (), 3, "tanh"), "'tanh'"),
                         ((3, (4,), 3, "relu", 2, 4), "there are 3 inputs")):
         with pytest.raises(ModelError, match=said):
