@@ -20,6 +20,15 @@ __device__ inline void add_product(float (&sums)[4], const unsigned (&left)[4], 
         : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])
         : "r"(left[0]), "r"(left[1]), "r"(left[2]), "r"(left[3]), "r"(right[0]), "r"(right[1]));
 }
+
+// Begin to copy a number into the shared memory, where it is after `wait_for_copies` and a barrier.
+__device__ inline void copy_number(float* to, const float* from) {
+    asm volatile("cp.async.ca.shared.global [%0], [%1], 4;" ::"r"(unsigned(__cvta_generic_to_shared(to))), "l"(from));
+}
+
+__device__ inline void wait_for_copies() {
+    asm volatile("cp.async.wait_all;" ::: "memory");
+}
 #endif
 
 const int NEURAL_THREADS = 256, NEURAL_POINTS = 64, NEURAL_LAYERS = 5, SLACK = 16;
@@ -43,7 +52,7 @@ struct Network {
 __device__ inline void read_network(const View& view, Network& net) {
     const float* const at = view.at;
     if (threadIdx.x == 0) {
-        net.layers = int(at[0]), net.inputs = int(at[1]), net.encoded = int(at[2]), net.bands = int(at[3]);
+        net.layers = int(at[0]), net.inputs = int(at[1]), net.encoded = max(int(at[2]), 1), net.bands = int(at[3]);
         net.activation = int(at[4]), net.widest = net.rows[0] = net.space[0] = net.count[0] = 0;
         for (int layer = 0; layer <= net.layers; layer++) {
             const int size = net.size[layer] = int(at[5 + layer]);
@@ -72,16 +81,21 @@ __device__ inline Layer layer_of(const Network& net, int layer, float* at, bool 
     return {at, at + reads * makes, reads, makes, reads, 1};
 }
 
-// Copy all parameters into the shared memory.
+// Copy all parameters into the shared memory, where they are after the next `encode_points`.
 __device__ inline void load_layers(const Network& net, float* parameters, float* shared) {
     for (int layer = 0; layer < net.layers; layer++) {
         const Layer from = layer_of(net, layer, parameters, false), to = layer_of(net, layer, shared, true);
-        for (int k = threadIdx.x; k < padded(to.makes) * to.stride; k += NEURAL_THREADS) {
-            const int j = k / to.stride, i = k % to.stride;
-            float value = 0.0f;
-            if (j < to.makes && i < to.reads) value = from.weights[j * to.reads + i];
-            if (j < to.makes && i == padded(to.reads)) value = from.biases[j];
-            to.weights[k] = value;
+        for (int j = threadIdx.x / 32; j < padded(to.makes); j += NEURAL_THREADS / 32) {
+            for (int i = threadIdx.x % 32; i < to.stride; i += 32) {
+                float* const at = to.weights + j * to.stride + i;
+                if (j < to.makes && i < to.reads) {
+                    copy_number(at, from.weights + j * to.reads + i);
+                } else if (j < to.makes && i == padded(to.reads)) {
+                    copy_number(at, from.biases + j);
+                } else {
+                    *at = 0.0f;
+                }
+            }
         }
     }
 }
@@ -101,17 +115,23 @@ __device__ inline float slope_of(int kind, float z) {
 // What the first layer reads of `count` points; 0 beside it and for the others of `most`.
 __device__ inline void encode_points(const Network& net, const float* points, int count, int most, float* rows) {
     const int size = net.size[0], wide = padded(size), stride = stride_of(size), inputs = net.inputs;
+    for (int k = threadIdx.x; k < count * inputs; k += NEURAL_THREADS) {
+        copy_number(rows + k / inputs * stride + k % inputs, points + k);
+    }
+    wait_for_copies();
+    __syncthreads();
     for (int column = threadIdx.x % 32; column < wide; column += 32) {
-        const int feature = column - inputs, pair = feature / 2;
-        const int input = feature < 0 ? column : pair % net.encoded;
+        const int feature = column - inputs, pair = feature / 2, input = feature < 0 ? 0 : pair % net.encoded;
         const float factor = feature < 0 ? 1.0f : float(1 << pair / net.encoded);
         for (int p = threadIdx.x / 32; p < most; p += NEURAL_THREADS / 32) {
+            const bool there = p < count && column < size;
+            if (there && feature < 0) continue;
             float value = 0.0f;
-            if (p < count && column < size) value = points[p * inputs + input] * factor;
-            if (feature >= 0) {
-                const float whole = floorf(value + 0.5f), angle = (value - whole) * 3.14159265358979f;
+            if (there) {
+                const float turns = rows[p * stride + input] * factor;
+                const float whole = floorf(turns + 0.5f), angle = (turns - whole) * 3.14159265358979f;
                 const float sign = whole * 0.5f == floorf(whole * 0.5f) ? 1.0f : -1.0f;
-                value = p < count && column < size ? sign * (feature % 2 ? cosf(angle) : sinf(angle)) : 0.0f;
+                value = sign * (feature % 2 ? cosf(angle) : sinf(angle));
             }
             rows[p * stride + column] = value;
         }
@@ -372,8 +392,10 @@ extern "C" __global__ void __launch_bounds__(256) neural_gradients(View network,
         learn_group<true>(net, weights, found, most, points, targets, pulls, begin, end, error);
         for (int index = 0; index < net.layers; index++) {
             const Layer from = layer_of(net, index, found, true), to = layer_of(net, index, gradients, false);
-            for (int k = threadIdx.x; k < to.reads * to.makes; k += NEURAL_THREADS) {
-                to.weights[k] = from.weights[k / to.reads * from.stride + k % to.reads];
+            for (int j = threadIdx.x / 32; j < to.makes; j += NEURAL_THREADS / 32) {
+                for (int i = threadIdx.x % 32; i < to.reads; i += 32) {
+                    to.weights[j * to.reads + i] = from.weights[j * from.stride + i];
+                }
             }
             for (int k = threadIdx.x; k < to.makes; k += NEURAL_THREADS) to.biases[k] = from.biases[k * from.step];
         }

@@ -106,6 +106,9 @@ static void meet(int warp) {
     while (products[warp] == now) give_way();
 }
 
+static void copy_number(float* to, const float* from) { *to = *from; }
+static void wait_for_copies() {}
+
 static unsigned long long atomicAdd(unsigned long long* at, unsigned long long more) {
     const unsigned long long before = *at;
     *at += more;
