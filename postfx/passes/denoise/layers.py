@@ -11,7 +11,7 @@ import numpy as np
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.pyramid import REMODULATE
 from postfx.passes.denoise.history import alone, one_of, some_of
-from postfx.passes.denoise.network import PLAIN, Graph, Tables
+from postfx.passes.denoise.network import PLAIN, Graph, Tables, upload
 from postfx.passes.denoise.tiling import Window
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Tensor
 
@@ -61,8 +61,8 @@ class LayerGraph(Graph):
                       masked: bool, layers: Sequence[Layer]) -> None:
         """Record the work on layers, after the picture's; the arguments are the same."""
         if self._nothing is None:
-            self._nothing = {"past": self._given("no past", np.zeros((*self._made["past"].shape,), np.float32)),
-                             "keep": self._given("keep nothing", np.zeros((1, 1, 1), np.float32))}
+            nothing = {"past": np.zeros(self._made["past"].shape, np.float32), "keep": np.zeros((1, 1, 1), np.float32)}
+            self._nothing = {name: upload(self._device.heap, f"no {name}", array) for name, array in nothing.items()}
             self._stacks: dict[int, dict[str, Tensor]] = {}
             self._layer_tables: dict[int, Tables] = {}
         whole = window == Window.whole(window.frame)

@@ -10,6 +10,7 @@ from itertools import zip_longest
 
 import numpy as np
 
+from postfx.caching import LRUCache
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import FEATURES, FINE, GUIDES, TRUST_CELL
 from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
@@ -42,6 +43,7 @@ from postfx.runtime import (
     PipelineState,
     Tensor,
 )
+from postfx.runtime.tensor import TensorHeap
 
 PACKED, RAW = "packed_", "raw_"
 """Prefix of the names of inputs and outputs in half precision, channels last."""
@@ -139,7 +141,7 @@ class Network:
                              "the card that it was made with, or make both again with training.denoise.quantise")
         made = {b.name: heads[b.name] if b.name in heads else new(b.name, state.shapes[b.name], b.dtype)
                 for b in state.bindings if b.name.startswith(MADE)}
-        constants = {name: _kept(state, name, array) for name, array in state.constants.items()
+        constants = {name: upload(state.device.heap, name, array) for name, array in state.constants.items()
                      if name.startswith((CODING, SCALING))}
         known = {**parts_of(seen["features"]), **seen, **heads, **made}
         self._table = ArgumentTable(state, {binding.name: known[binding.name] for binding in state.bindings})
@@ -169,8 +171,9 @@ def _packer(state: PipelineState, packed: Tensor, constants: Mapping[str, Tensor
     return _table(state, kernel, planes=seen[name], coding=constants[f"{CODING}{name}"], stored=packed)
 
 
-def _kept(state: PipelineState, name: str, array: np.ndarray) -> Tensor:
-    tensor = state.device.heap.tensor(name, array.shape)
+def upload(heap: TensorHeap, name: str, array: np.ndarray) -> Tensor:
+    """A tensor that holds an array from now on."""
+    tensor = heap.tensor(name, array.shape)
     tensor.upload(array)
     return tensor
 
@@ -186,7 +189,7 @@ def _openers(state: PipelineState, closed: Tensor, constants: Mapping[str, Tenso
         some, at = min(SOME, count - channel), channel * rows * columns
         tables.append(_table(
             state, OPEN_SOME_PRODUCTS, scaling=constants[f"{SCALING}fine"],
-            first=_kept(state, "first", np.full(1, channel, np.float32)),
+            first=upload(state.device.heap, "first", np.full(1, channel, np.float32)),
             products=closed.view(closed.name, (1, 4 * some, rows // 2, columns // 2), at),
             fine=fine.view("fine", (1, some, rows, columns), at)))
     return tables
@@ -245,12 +248,12 @@ class Graph:
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
                  reactive: bool = False) -> None:
         self._device, self._window, self._guided, self._reactive = device, window, guided, reactive
-        dims = free_dimensions(window.padded)
+        dims = free_dimensions(window.padded_size)
         networks = {model: load_network(device, model, dims) for model in models}
         for state in networks.values():
             check_bindings(state)
         self._tables: Tables = {}
-        self._places: dict[Window, dict[str, dict[str, Tensor]]] = {}
+        self._places: LRUCache[Window, dict[str, dict[str, Tensor]]] = LRUCache(MOST_PLACES)
         between = cache(self._new)  # of several networks only one runs in a frame
         self._heads = {model: self._heads_of(state, between) for model, state in networks.items()}
         self._doubting = {model for model in models if doubts_planes(model)}
@@ -306,9 +309,6 @@ class Graph:
     def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
         return self._device.heap.transient(name, shape, dtype)
 
-    def _kept(self, name: str, shape: tuple[int, ...]) -> Tensor:
-        return self._device.heap.tensor(name, shape)
-
     def _heads_of(self, network: PipelineState, between: Callable[..., Tensor]) -> dict[str, Tensor]:
         """The heads that the filters read, by name; for levels that the network does not compute, their constants."""
         shapes, products = heads_of(network), f"{PRODUCTS}fine"
@@ -319,8 +319,8 @@ class Graph:
             heads |= {"fine": both.view("fine", shapes["fine"]),
                       products: both.view(products, network.shapes[products], behind, "int32")}
         for name, values in alike_heads(network).items():
-            heads[name] = self._kept(name, (1, values.shape[1], *self._window.level(int(name[-1]))))
-            heads[name].upload(np.broadcast_to(values, heads[name].shape))
+            size = (1, values.shape[1], *self._window.level(int(name[-1])))
+            heads[name] = upload(self._device.heap, name, np.broadcast_to(values, size))
         return heads
 
     def _make_tensors(self, network: PipelineState) -> None:
@@ -328,7 +328,7 @@ class Graph:
         self._made = {"moved": self._new("moved", (rows, columns, 2)), "past": self._new("past", (rows, columns, 4)),
                       "warped": self._new("warped", (out.rows, out.columns, 3)),
                       "factor": self._new("factor", (rows, columns, 3))}
-        self._no_means = self._given("no means", np.zeros((1, 1, 3), np.float32))
+        self._no_means = upload(self._device.heap, "no means", np.zeros((1, 1, 3), np.float32))
         self._means = self._new("means", (*means_size(rows, columns), 3)) if self._doubting else self._no_means
         if self._guided:
             cells = (-(-side // TRUST_CELL) for side in (rows, columns))
@@ -394,17 +394,9 @@ class Graph:
     def _place(self, window: Window) -> dict[str, dict[str, Tensor]]:
         """Tensors that describe a window to the kernels, by binding: for each table of the pyramid, and under '' for
         all other tables."""
-        if window not in self._places:
-            if len(self._places) == MOST_PLACES:
-                self._places.clear()
-            self._places[window] = {table: {name: self._given(name, array) for name, array in values.items()}
-                                    for table, values in _places(window).items()}
-        return self._places[window]
-
-    def _given(self, name: str, array: np.ndarray) -> Tensor:
-        tensor = self._kept(name, array.shape)
-        tensor.upload(array)
-        return tensor
+        return self._places.get_or_make(window, lambda: {
+            table: {name: upload(self._device.heap, name, array) for name, array in values.items()}
+            for table, values in _places(window).items()})
 
     def _bind(self, tables: Mapping[str, ArgumentTable], tensors: Mapping[str, Tensor],
               places: Mapping[str, Mapping[str, Tensor]], heads: Mapping[str, Tensor]) -> None:
@@ -456,11 +448,11 @@ class ClassicGraph:
         for k, step in enumerate(STEPS):
             name = f"a-trous {step}"
             self._order.append(name)
-            far = self._given("step", np.full(1, step, np.float32))
+            far = upload(device.heap, "step", np.full(1, step, np.float32))
             self._tables[name] = ArgumentTable(device.compute_state(ATROUS), {
                 "light": lights[k % 2], "smooth": lights[1 - k % 2], "step": far})
         self._ends = {"gather": lights[0], "resolve": lights[len(STEPS) % 2]}
-        self._places: dict[Window, dict[str, Tensor]] = {}
+        self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
 
     def encode(self, commands: CommandBuffer, window: Window, tensors: Mapping[str, Tensor], masked: bool) -> None:
         """Record the work on a window; the arguments are those of `Graph.encode`."""
@@ -487,13 +479,5 @@ class ClassicGraph:
 
     def _place(self, window: Window) -> dict[str, Tensor]:
         """Tensors that describe a window to the kernels, by binding."""
-        if window not in self._places:
-            if len(self._places) == MOST_PLACES:
-                self._places.clear()
-            self._places[window] = {name: self._given(name, array) for name, array in window.places().items()}
-        return self._places[window]
-
-    def _given(self, name: str, array: np.ndarray) -> Tensor:
-        tensor = self._device.heap.tensor(name, array.shape)
-        tensor.upload(array)
-        return tensor
+        return self._places.get_or_make(window, lambda: {
+            name: upload(self._device.heap, name, array) for name, array in window.places().items()})
