@@ -37,6 +37,7 @@ PI, QUARTER = np.float32(np.pi), np.float32(np.pi / 2)
 @compiled
 def surface_rows(y0: int, y1: int, normal: np.ndarray, depth: np.ndarray, camera: np.ndarray,
                  surface: np.ndarray) -> None:
+    """Normals turned into camera space, of length 1, and depth in radii; pixels without a surface are empty."""
     for y in range(y0, y1):
         for x in range(depth.shape[1]):
             a, b, c, z = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2], depth[y, x, 0] / camera[RADIUS]
@@ -48,6 +49,19 @@ def surface_rows(y0: int, y1: int, normal: np.ndarray, depth: np.ndarray, camera
             for k in range(3):
                 surface[y, x, k] = a * camera[k] + b * camera[3 + k] + c * camera[6 + k]
             surface[y, x, 3] = z
+
+
+@inline
+def place(camera: np.ndarray, h: int, w: int, y: int, x: int, z: Real) -> tuple[Real, Real, Real]:
+    """A pixel's surface in camera space, in radii."""
+    return (((np.float32(x) + HALF) / np.float32(w) * TWO - ONE) * camera[TANGENTS] * z,
+            (ONE - (np.float32(y) + HALF) / np.float32(h) * TWO) * camera[TANGENTS + 1] * z, -z)
+
+
+@inline
+def reach_at(camera: np.ndarray, h: int, w: int, z: Real) -> Real:
+    """The radius on the screen at a depth, in pixels."""
+    return min(np.float32(w) / (TWO * camera[TANGENTS] * z), MOST_REACH * np.float32(h))
 
 
 @inline
@@ -78,9 +92,8 @@ def horizon_of(surface: np.ndarray, camera: np.ndarray, settings: np.ndarray, x:
         z = surface[j, i, 3]
         if z >= FAR:
             continue
-        dx = ((np.float32(i) + HALF) / np.float32(w) * TWO - ONE) * camera[TANGENTS] * z - at[0]
-        dy = (ONE - (np.float32(j) + HALF) / np.float32(h) * TWO) * camera[TANGENTS + 1] * z - at[1]
-        dz = -z - at[2]
+        px, py, pz = place(camera, h, w, j, i, z)
+        dx, dy, dz = px - at[0], py - at[1], pz - at[2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         if distance < np.float32(1e-6):
             continue
@@ -96,6 +109,7 @@ def horizon_of(surface: np.ndarray, camera: np.ndarray, settings: np.ndarray, x:
 @compiled
 def horizon_rows(y0: int, y1: int, surface: np.ndarray, camera: np.ndarray, settings: np.ndarray,
                  visible: np.ndarray) -> None:
+    """Visibility by the two horizons of each slice through the view ray."""
     h, w = surface.shape[:2]
     for y in range(y0, y1):
         for x in range(w):
@@ -103,12 +117,11 @@ def horizon_rows(y0: int, y1: int, surface: np.ndarray, camera: np.ndarray, sett
             if z >= FAR:
                 visible[y, x] = ONE
                 continue
-            px = ((np.float32(x) + HALF) / np.float32(w) * TWO - ONE) * camera[TANGENTS] * z
-            py = (ONE - (np.float32(y) + HALF) / np.float32(h) * TWO) * camera[TANGENTS + 1] * z
+            px, py, pz = place(camera, h, w, y, x, z)
             length = np.sqrt(px * px + py * py + z * z)
             vx, vy, vz = -px / length, -py / length, z / length
             nx, ny, nz = surface[y, x, 0], surface[y, x, 1], surface[y, x, 2]
-            reach = min(np.float32(w) / (TWO * camera[TANGENTS] * z), MOST_REACH * np.float32(h))
+            reach = reach_at(camera, h, w, z)
             total, weights = ZERO, ZERO
             for k in range(SLICES):
                 turn = (np.float32(k) + np.float32((x % 4) * 4 + y % 4) / np.float32(16)) * PI / np.float32(SLICES)
@@ -127,9 +140,9 @@ def horizon_rows(y0: int, y1: int, surface: np.ndarray, camera: np.ndarray, sett
                 cosine = min(max((mx * vx + my * vy + mz * vz) / shadow, ZERO), ONE)
                 angle = np.arccos(cosine) if side > ZERO else -np.arccos(cosine)
                 first = horizon_of(surface, camera, settings, np.float32(x), np.float32(y), c * reach, -s * reach,
-                                   noise, (px, py, -z), (vx, vy, vz), (ax, ay, az), np.cos(angle + QUARTER))
+                                   noise, (px, py, pz), (vx, vy, vz), (ax, ay, az), np.cos(angle + QUARTER))
                 last = horizon_of(surface, camera, settings, np.float32(x), np.float32(y), -c * reach, s * reach,
-                                  noise, (px, py, -z), (vx, vy, vz), (ax, ay, az), np.cos(angle - QUARTER))
+                                  noise, (px, py, pz), (vx, vy, vz), (ax, ay, az), np.cos(angle - QUARTER))
                 up = min(np.arccos(min(max(first, -ONE), ONE)), angle + QUARTER)
                 down = max(-np.arccos(min(max(last, -ONE), ONE)), angle - QUARTER)
                 weight = ONE / max(ox * ox + oy * oy + oz * oz, np.float32(1e-6))  # even around the view ray
@@ -140,6 +153,7 @@ def horizon_rows(y0: int, y1: int, surface: np.ndarray, camera: np.ndarray, sett
 
 @compiled
 def smooth_rows(y0: int, y1: int, surface: np.ndarray, noisy: np.ndarray, visible: np.ndarray) -> None:
+    """Mean of each pixel and its 5x5 neighbours on the same surface; the outermost ones count by half."""
     h, w = surface.shape[:2]
     for y in range(y0, y1):
         for x in range(w):
@@ -160,16 +174,10 @@ def smooth_rows(y0: int, y1: int, surface: np.ndarray, noisy: np.ndarray, visibl
             visible[y, x] = total / weights if weights > ZERO else noisy[y, x]
 
 
-@inline
-def place(camera: np.ndarray, h: int, w: int, y: int, x: int, z: Real) -> tuple[Real, Real, Real]:
-    """A pixel's surface in camera space, in radii."""
-    return (((np.float32(x) + HALF) / np.float32(w) * TWO - ONE) * camera[TANGENTS] * z,
-            (ONE - (np.float32(y) + HALF) / np.float32(h) * TWO) * camera[TANGENTS + 1] * z, -z)
-
-
 @compiled
 def look_rows(p0: int, p1: int, surface: np.ndarray, camera: np.ndarray, raw: np.ndarray, smooth: np.ndarray,
               first: np.ndarray, points: np.ndarray) -> None:
+    """What the network reads of each pixel."""
     h, w = surface.shape[:2]
     for p in range(p0, p1):
         y, x = int(first[0]) + p // w, p % w
@@ -182,7 +190,7 @@ def look_rows(p0: int, p1: int, surface: np.ndarray, camera: np.ndarray, raw: np
         px, py, pz = place(camera, h, w, y, x, z)
         flat = np.sqrt(nx * nx + ny * ny)
         c, s = (nx / flat, ny / flat) if flat > np.float32(1e-3) else (ONE, ZERO)
-        reach = min(np.float32(w) / (TWO * camera[TANGENTS] * z), MOST_REACH * np.float32(h))
+        reach = reach_at(camera, h, w, z)
         at = 0
         for k in range(WAYS):
             turn = TWO * PI * np.float32(k) / np.float32(WAYS)

@@ -54,6 +54,7 @@ FLAT, SLANT, LUMINANCE = np.float32(0.02), np.float32(0.3), np.float32(4)
 
 @fused
 def luminance(r: Real, g: Real, b: Real) -> Real:
+    """Relative luminance of linear Rec.709."""
     return np.float32(0.2126) * r + np.float32(0.7152) * g + np.float32(0.0722) * b
 
 
@@ -175,18 +176,21 @@ def edge_row(near: np.ndarray, other: np.ndarray, across: np.ndarray, down: np.n
 
 @fused
 def add_tap(light: np.ndarray, weight: np.ndarray, total: np.ndarray) -> None:
+    """total += weight * light."""
     for x in range(weight.size):
         total[x] += weight[x] * light[x]
 
 
 @fused
 def add_variance(light: np.ndarray, weight: np.ndarray, total: np.ndarray) -> None:
+    """total += weight^2 * variance: that of a weighted sum."""
     for x in range(weight.size):
         total[x] += weight[x] * weight[x] * light[x]
 
 
 @fused
 def finish_row(total: np.ndarray, weights: np.ndarray, squared: bool, out: np.ndarray) -> None:
+    """The weighted mean, or with `squared` its variance."""
     for x in range(out.size):
         share = ONE / weights[x]
         out[x] = total[x] * share * share if squared else total[x] * share
@@ -194,6 +198,7 @@ def finish_row(total: np.ndarray, weights: np.ndarray, squared: bool, out: np.nd
 
 @fused
 def luminance_row(r: np.ndarray, g: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
+    """Luminance of a row."""
     for x in range(out.size):
         out[x] = luminance(r[x], g[x], b[x])
 
@@ -265,6 +270,7 @@ def shade_row(light: np.ndarray, factor: np.ndarray, row: np.ndarray) -> None:
 
 @fused
 def encode_row(row: np.ndarray) -> None:
+    """A row of light as its logarithm."""
     for x in range(row.size):
         row[x] = log_encode(row[x])
 
@@ -281,6 +287,7 @@ def decode_row(logs: np.ndarray, darken: Real, output: np.ndarray) -> None:
 @compiled
 def resolve_rows(y0: int, y1: int, light: np.ndarray, factor: np.ndarray, params: np.ndarray, window: np.ndarray,
                  output: np.ndarray, history: np.ndarray) -> None:
+    """The output: light times reflectance, by a Gaussian around each output pixel."""
     width = output.shape[1]
     held_h = min(light.shape[1], int(window[HEIGHT]) - int(window[TOP]))
     held_w = min(light.shape[2], int(window[WIDTH]) - int(window[LEFT]))

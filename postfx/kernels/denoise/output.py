@@ -64,6 +64,7 @@ def difference_rows(top: int, colour: np.ndarray, denoised: np.ndarray, exposure
 
 @vectorised
 def hold(row: np.ndarray, limit: np.ndarray) -> None:
+    """The row within plus and minus the limit."""
     for x in range(row.size):
         row[x] = min(max(row[x], -limit[x]), limit[x])
 
@@ -117,6 +118,7 @@ def judge_rows(y0: int, y1: int, colour: np.ndarray, denoised: np.ndarray, param
 
 @inline
 def ramp(value: Real, low: Real, high: Real) -> Real:
+    """0 up to `low`, 1 from `high` on, linear between."""
     return min(max((value - np.float32(low)) / np.float32(high - low), ZERO), ONE)
 
 
@@ -220,6 +222,7 @@ PLACE = 10
 
 @compiled
 def copy(source: np.ndarray, target: np.ndarray) -> None:
+    """target = source."""
     for i in range(target.size):
         target[i] = source[i]
 

@@ -92,7 +92,7 @@ def is_doubled(window: np.ndarray) -> bool:
 
 
 @inline
-def held(px: Real, py: Real, width: Real, height: Real) -> Real:
+def is_inside(px: Real, py: Real, width: Real, height: Real) -> Real:
     """Whether a position lies in a picture."""
     return -HALF <= px <= np.float32(width) - HALF and -HALF <= py <= np.float32(height) - HALF
 
@@ -253,7 +253,7 @@ def trust_picked(left: int, y: Real, size: tuple[int, int], moved: np.ndarray, p
     for x in range(index.size):
         at = index[x]
         px, py = np.float32(left + x) + moved[at, 0] * scale[0], y + moved[at, 1] * scale[1]
-        inside = held(px, py, size[0], size[1]) and past[at, 3] >= ZERO
+        inside = is_inside(px, py, size[0], size[1]) and past[at, 3] >= ZERO
         trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = share[at] * (ONE - blend[x]) if inside else ZERO
 
 
