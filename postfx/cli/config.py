@@ -59,7 +59,8 @@ def execute(arguments: argparse.Namespace) -> int:
         print(json.dumps(facts))
         return 0
     lines = [f"file     {path}" for path in facts["files"]]
-    lines += [f"default  {default.option.flag} {default.shown}    from {default.path}" for default in found.values()]
+    lines += [f"default  {default.option.flag} {default.text_shown}    from {default.path}"
+              for default in found.values()]
     if not lines:
         places = [] if VARIABLE in os.environ else [Path.cwd() / NAME, *_own_places()[::-1]]
         lines = [f"no {NAME}; it may be {' or '.join(map(str, places))}" if places else f"{VARIABLE} asks for no file"]
@@ -82,7 +83,7 @@ class Default(NamedTuple):
     path: Path
 
     @property
-    def shown(self) -> str:
+    def text_shown(self) -> str:
         """The text as people read it."""
         return "" if self.text is True else ", ".join(self.text) if isinstance(self.text, list) else str(self.text)
 

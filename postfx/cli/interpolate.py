@@ -134,7 +134,7 @@ class Interpolation:
         from postfx.frame import Role
         from postfx.interpolate.timing import parse_times
         from postfx.io.sequence import Sequence
-        from postfx.io.writer import Existing, OutputFiles
+        from postfx.io.writer import ExistingFiles, OutputFiles
 
         if not arguments.output:
             raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o out/between.####.exr")
@@ -142,7 +142,7 @@ class Interpolation:
         self._times: Times = parse_times(arguments.times, arguments.fps)
         self._sequence: Sequence = Sequence(arguments.input, arguments.frames,
                                             **INTERPOLATE.values_for("sequence", arguments))
-        existing = Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
+        existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
         self._outputs: OutputFiles = OutputFiles(arguments.output, self._sequence, existing)
         if self._outputs.display:
             raise WriteError(f"{arguments.output}: is for a display: write EXR and tone-map it afterwards")

@@ -46,7 +46,7 @@ from postfx.files import WriteBehind, read_ahead, read_patiently
 from postfx.frame import Frame, Part, Role
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
-from postfx.io.writer import Existing, OutputFiles, write_frame
+from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.kernels.native import CompileWatch
 from postfx.passes import Pass
 from postfx.passes.display import is_shown, make_display_passes
@@ -392,7 +392,7 @@ class Job:
             facts = {}  # those of a frame are told once
             paths.append(str(path))
         if used is not None:
-            self._exposure.multipliers[number], self._exposure.lit[number] = used, done.lit
+            self._exposure.multipliers[number], self._exposure.lit[number] = used, done.header_exposure
         self._written, self._frames = self._written + paths, self._frames + 1
         progress.advance(" ".join(paths))
         if self._arguments.verbose:
@@ -470,8 +470,8 @@ def announce_run_up(check: Callable[[], None], tell: Callable[[str], None]) -> C
 
 
 def _outputs(arguments: argparse.Namespace, sequence: Sequence) -> OutputFiles | None:
-    existing = Existing.OVERWRITE if arguments.overwrite else Existing.REFUSE
-    existing = Existing.SKIP if arguments.skip_existing else existing
+    existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
+    existing = ExistingFiles.SKIP if arguments.skip_existing else existing
     if not arguments.output and not arguments.explain:
         raise WriteError(NOWHERE)
     return OutputFiles(arguments.output, sequence, existing) if arguments.output else None

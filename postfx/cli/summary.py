@@ -258,7 +258,7 @@ class FrameResult:
     bad_pixels: Mapping[Role, int] = field(default_factory=dict)
 
     @property
-    def lit(self) -> float:
+    def header_exposure(self) -> float:
         """The multiplier that the header asks for, else 1."""
         return self.source.exposure or 1.0
 

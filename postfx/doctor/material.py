@@ -14,7 +14,7 @@ import numpy as np
 from postfx.doctor import Range, Values, count_values, join_ranges, range_of, sum_values
 from postfx.doctor.geometry import Fit, explain_by_camera, fit_rotation
 from postfx.doctor.motion_convention import ReadMotion, UnreadMotion
-from postfx.doctor.motion_variants import Warped, warp_pair
+from postfx.doctor.motion_variants import PairScores, warp_pair
 from postfx.errors import PostfxError
 from postfx.frame import Frame, Role
 from postfx.io.channels import Channel, read_channels
@@ -80,14 +80,14 @@ class Material:
         return [(a, b) for a, b in both if a.spec.width == b.spec.width and a.spec.height == b.spec.height]
 
     @cached_property
-    def warped(self) -> list[Warped]:
+    def pair_scores(self) -> list[PairScores]:
         """Scores of the motion's variants for each pair that has motion and contrast."""
         return [warped for pair in self.pairs[:MOST_PAIRS] if (warped := warp_pair(*pair))]
 
     @cached_property
-    def shots(self) -> list[Warped]:
-        """`warped` without pairs across a marked cut and pairs that have nothing in common."""
-        return [warped for warped in self.warped if not warped.now.reset and warped.is_related]
+    def shots(self) -> list[PairScores]:
+        """`pair_scores` without pairs across a marked cut and pairs that have nothing in common."""
+        return [warped for warped in self.pair_scores if not warped.now.reset and warped.is_related]
 
     @cached_property
     def fit(self) -> Fit | None:

@@ -16,8 +16,8 @@ from postfx.doctor.motion_convention import measure_convention
 from postfx.doctor.motion_variants import (
     RELATED,
     VARIANTS,
+    PairScores,
     Variant,
-    Warped,
     scaled_variants,
     score_offset,
     score_variants,
@@ -96,7 +96,7 @@ def check_motion_unread(material: Material) -> Iterator[Finding]:
                       f"write this into a file, for --profile FILE.toml:\n{found.convention.lines(motion)}")
 
 
-def _by_other_means(material: Material, shots: list[Warped]) -> Iterator[Finding]:
+def _by_other_means(material: Material, shots: list[PairScores]) -> Iterator[Finding]:
     """Motion that no usual variant corrects: another unit, depth that does not fit, or objects that move alone."""
     if scaled := best_scale(shots):
         yield error(Role.MOTION, scaled.code, _evidence(shots, scaled), scaled.cause,
@@ -108,7 +108,7 @@ def _by_other_means(material: Material, shots: list[Warped]) -> Iterator[Finding
     yield from _movers([shots[0], shots[-1]] if len(shots) > 1 else shots)
 
 
-def _camera_fits(material: Material, shots: list[Warped]) -> list[DepthScale]:
+def _camera_fits(material: Material, shots: list[PairScores]) -> list[DepthScale]:
     """How the cameras' motion differs from the stored motion; empty if it does not, or if depth is not understood."""
     if material.fit and material.fit.angle > PLANAR:
         return []
@@ -122,7 +122,7 @@ def _camera_evidence(fits: list[DepthScale]) -> tuple[str, float]:
     return text, length
 
 
-def _unit_by_cameras(fits: list[DepthScale], shots: list[Warped]) -> Finding | None:
+def _unit_by_cameras(fits: list[DepthScale], shots: list[PairScores]) -> Finding | None:
     """Motion that differs from the cameras' by one factor, if the pictures confirm it."""
     if not fits:
         return None
@@ -150,7 +150,7 @@ def _cameras_disagree(fits: list[DepthScale]) -> Finding:
                    "in view stands still", "write the vectors and the matrix of this frame")
 
 
-def _movers(shots: list[Warped]) -> Iterator[Finding]:
+def _movers(shots: list[PairScores]) -> Iterator[Finding]:
     """Objects that move although they have the vectors of the world around them."""
     found = [next((thing for thing in find_movers(w.before, w.now) if thing.blocks >= LEAST_BLOCKS), None)
              for w in shots]
@@ -166,7 +166,7 @@ def _movers(shots: list[Warped]) -> Iterator[Finding]:
 
 def check_motion_zero(material: Material) -> Iterator[Finding]:
     """Motion that is 0 everywhere though the camera or the picture moves."""
-    for warped in [warped for warped in material.warped if not warped.now.reset and warped.moved == 0][:2]:
+    for warped in [warped for warped in material.pair_scores if not warped.now.reset and warped.moved == 0][:2]:
         if evidence := _by_camera(warped) or _by_picture(warped):
             cause = "written without motion: the vector pass is off, or the previous camera was not kept"
             yield error(Role.MOTION, "motion-zero", f"frame {warped.now.number}: all motion is 0, {evidence}", cause,
@@ -174,14 +174,14 @@ def check_motion_zero(material: Material) -> Iterator[Finding]:
             return
 
 
-def _by_camera(warped: Warped) -> str:
+def _by_camera(warped: PairScores) -> str:
     moved = motion_of_camera(warped.before, warped.now)
     if moved is None or not len(moved) or (mean := float(np.linalg.norm(moved, axis=-1).mean())) < LEAST_CAMERA_MOTION:
         return ""
     return f"but worldToCamera and depth say that the camera moves surfaces by {mean:.2f} pixels in the mean"
 
 
-def _by_picture(warped: Warped) -> str:
+def _by_picture(warped: PairScores) -> str:
     offsets = list(product(range(-SEARCHED, SEARCHED + 1), repeat=2))
     scores = {at: score_offset(warped.features, np.add(at, warped.jitter)) for at in offsets}
     best = min(scores, key=lambda at: scores[at])
@@ -191,7 +191,7 @@ def _by_picture(warped: Warped) -> str:
             "pixels")
 
 
-def best_variant(shots: list[Warped]) -> Variant | None:
+def best_variant(shots: list[PairScores]) -> Variant | None:
     """The simplest of the variants that fit best; None if the stored motion fits best."""
     ratios = {variant: _ratio(shots, variant) for variant in VARIANTS if variant.code}
     good = {variant: ratio for variant, ratio in ratios.items() if _is_better(shots, variant, ratio)}
@@ -204,7 +204,7 @@ def best_variant(shots: list[Warped]) -> Variant | None:
     return min((v for v in good if good[v] <= ALIKE * least), key=lambda v: (v.priority, good[v]))
 
 
-def best_scale(shots: list[Warped]) -> Variant | None:
+def best_scale(shots: list[PairScores]) -> Variant | None:
     """An unusual unit of the motion that fits clearly better; None if the stored motion beats no motion at all."""
     still = next(variant for variant in VARIANTS if variant.code == "motion-worse-than-none")
     some = shots[:SOME_PAIRS]
@@ -222,13 +222,13 @@ def best_scale(shots: list[Warped]) -> Variant | None:
     return best
 
 
-def _ratio(shots: list[Warped], variant: Variant) -> float:
+def _ratio(shots: list[PairScores], variant: Variant) -> float:
     scores = [warped.scores.get(variant, np.inf) for warped in shots]
     stored = [min(warped.as_it_is, warped.unrelated) for warped in shots]
     return float(np.sum(scores) / max(np.sum(stored), 1e-9))
 
 
-def _is_better(shots: list[Warped], variant: Variant, ratio: float) -> bool:
+def _is_better(shots: list[PairScores], variant: Variant, ratio: float) -> bool:
     wins = np.mean([warped.scores.get(variant, np.inf) < warped.as_it_is for warped in shots])
     least = BETTER_BY_JITTER if variant.code in JITTER_CODES else BETTER
     least = BETTER_THAN_NONE if variant.code == "motion-worse-than-none" else least
@@ -236,7 +236,7 @@ def _is_better(shots: list[Warped], variant: Variant, ratio: float) -> bool:
     return bool(telling and ratio < least and wins >= MOST_PAIRS_AGREE)
 
 
-def _evidence(shots: list[Warped], best: Variant) -> str:
+def _evidence(shots: list[PairScores], best: Variant) -> str:
     stored, fitting = (float(np.mean([min(w.scores[v], w.unrelated) for w in shots])) for v in (VARIANTS[0], best))
     roles = ", ".join(str(role) for role in shots[0].by_role[best])
     ranking = sorted((v for v in VARIANTS if v is not best), key=lambda v: _ratio(shots, v))
@@ -246,7 +246,7 @@ def _evidence(shots: list[Warped], best: Variant) -> str:
             f"{len(VARIANTS)} variants the next is '{ranking[0].name}'")
 
 
-def _follows_jitter(shots: list[Warped]) -> bool:
+def _follows_jitter(shots: list[PairScores]) -> bool:
     """Whether the motion of the whole picture jumps with the jitter; assumed with too few frames."""
     if len(shots) < 4:
         return True
@@ -256,7 +256,7 @@ def _follows_jitter(shots: list[Warped]) -> bool:
 
 
 def _untested(material: Material) -> Iterator[Finding]:
-    if Role.MOTION in material.middle and material.pairs and not any(w.moved == 0 for w in material.warped):
+    if Role.MOTION in material.middle and material.pairs and not any(w.moved == 0 for w in material.pair_scores):
         yield info(Role.MOTION, "motion-untested", "sign, axes and scale of the motion cannot be told",
                    "no pair of frames that belong together and show contrast", "give more frames of one shot")
 
@@ -289,7 +289,7 @@ def check_frame_sizes(material: Material) -> Iterator[Finding]:
 
 def check_cut_unmarked(material: Material) -> Iterator[Finding]:
     """A frame that has nothing in common with the frame before it, to which its motion points."""
-    new = [w for w in material.warped if not w.now.reset and not w.is_related]
+    new = [w for w in material.pair_scores if not w.now.reset and not w.is_related]
     if not new:
         return
     if all(w.unrelated < NOISE_ONLY for w in new):
@@ -298,7 +298,7 @@ def check_cut_unmarked(material: Material) -> Iterator[Finding]:
         return
     scores = ", ".join(f"frame {w.now.number}: {min(w.scores.values()) / w.unrelated:.2f}" for w in new[:4])
     evidence = f"the previous frame, warped by any variant of the motion, fits hardly better than chance (1): {scores}"
-    if len(new) == len(material.warped) and len(new) > 1:
+    if len(new) == len(material.pair_scores) and len(new) > 1:
         yield error(Role.MOTION, "motion-no-fit", evidence, "meaningless motion, or frames of different shots",
                     "look at the picture of the motion (--pictures), write the renderer's motion vectors")
     else:
@@ -308,7 +308,7 @@ def check_cut_unmarked(material: Material) -> Iterator[Finding]:
 
 def check_reset_always(material: Material) -> Iterator[Finding]:
     """Every frame is marked as the first of a shot, though it continues the previous one."""
-    marked = [w for w in material.warped if w.now.reset and w.is_related]
+    marked = [w for w in material.pair_scores if w.now.reset and w.is_related]
     if marked:
         numbers = ", ".join(str(w.now.number) for w in marked[:8])
         evidence = f"frames {numbers} say postfx:reset, but fit the previous frame ({marked[0].as_it_is:.2f} of " \
@@ -401,7 +401,7 @@ def _noise(frame: Frame) -> np.ndarray:
     return result
 
 
-def _shift(warped: Warped) -> tuple[float, float, float]:
+def _shift(warped: PairScores) -> tuple[float, float, float]:
     """Offset (x, y) in pixels that fits best, searched from coarse to fine, and its score."""
     best = np.zeros(2)
     for step, reach in zip(STEPS, (3, 1), strict=True):

@@ -198,7 +198,7 @@ class Feature(NamedTuple):
 
 
 @dataclass
-class Warped:
+class PairScores:
     """Scores of one pair of frames.
 
     Attributes:
@@ -241,12 +241,12 @@ class Warped:
         return min(self.scores.values()) < RELATED * self.unrelated
 
 
-def warp_pair(before: Frame, now: Frame) -> Warped | None:
+def warp_pair(before: Frame, now: Frame) -> PairScores | None:
     """Scores of all variants; None without motion or without contrast."""
     features = features_of(before, now) if Role.MOTION in now else []
     if not features:
         return None
-    result = Warped(before, now, features)
+    result = PairScores(before, now, features)
     result.moved = float(np.linalg.norm(finite(now[Role.MOTION]), axis=-1).mean())
     colour_like = is_like_colour(now)
     tried = [variant for variant in VARIANTS if colour_like or not variant.is_colour]
@@ -264,7 +264,7 @@ def is_like_colour(frame: Frame) -> bool:
     return bool(motion.min() >= 0 and motion.max() <= 1.001 and 0.2 < float(np.median(motion)) < 0.8)
 
 
-def score_variants(warped: Warped, variants: Sequence[Variant]) -> dict[Variant, float]:
+def score_variants(warped: PairScores, variants: Sequence[Variant]) -> dict[Variant, float]:
     """Scores of variants, which need not be of `VARIANTS`."""
     by_role = warped.errors(variants)
     return {variant: _mean({role: float(errors[number]) for role, errors in by_role.items()}, warped.features)

@@ -159,10 +159,10 @@ _ENCODINGS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
 
 def known_curves() -> dict[str, Response]:
     """Responses of tone curves that many chains use, by name."""
-    def made(curve: Callable[[np.ndarray], np.ndarray], encode: Callable[[np.ndarray], np.ndarray]) -> Response:
+    def response_of(curve: Callable[[np.ndarray], np.ndarray], encode: Callable[[np.ndarray], np.ndarray]) -> Response:
         return Response.of_curve(lambda light: np.asarray(encode(np.clip(curve(light), 0, 1))))
 
-    return {f"{name}, {encoding}": made(curve, encode) for name, curve in _LIGHT.items()
+    return {f"{name}, {encoding}": response_of(curve, encode) for name, curve in _LIGHT.items()
             for encoding, encode in _ENCODINGS.items()}
 
 

@@ -262,7 +262,7 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) 
     return spec
 
 
-class Existing(StrEnum):
+class ExistingFiles(StrEnum):
     """What to do with output files that are already there."""
 
     REFUSE = "refuse"
@@ -279,7 +279,7 @@ class OutputFiles:
     OutputExistsError from `check`.
     """
 
-    def __init__(self, target: str, sequence: Sequence, existing: Existing = Existing.REFUSE) -> None:
+    def __init__(self, target: str, sequence: Sequence, existing: ExistingFiles = ExistingFiles.REFUSE) -> None:
         self.existing, self._sequence = existing, sequence
         target = with_slashes(os.path.expanduser(target))
         self._pattern = _output_pattern(target, sequence.pattern)
@@ -321,7 +321,7 @@ class OutputFiles:
 
     def check(self, numbers: tuple[int, ...]) -> None:
         """OutputExistsError when a file is already there and is to be neither overwritten nor skipped."""
-        if self.existing is Existing.REFUSE:
+        if self.existing is ExistingFiles.REFUSE:
             for path in self._guess_paths(numbers):
                 if os.path.lexists(path):
                     raise OutputExistsError(f"{path}: is already there: give --overwrite or --skip-existing")

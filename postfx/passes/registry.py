@@ -105,7 +105,7 @@ def _spell(value: Any) -> str:
     return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
-class Asked(NamedTuple):
+class PassRequest(NamedTuple):
     """A pass as words ask for it: its name, its options as texts, and which pass it stands before or after."""
 
     name: str
@@ -114,7 +114,7 @@ class Asked(NamedTuple):
     after: str | None = None
 
 
-def parse_pass(text: str) -> Asked:
+def parse_pass(text: str) -> PassRequest:
     """Of 'NAME[,option=value]...[,before=PASS|after=PASS]'. Raises OptionError for anything else."""
     name, *words = _COMMA.split(text.strip())
     if not re.fullmatch(r"[\w.-]+", name):
@@ -128,10 +128,10 @@ def parse_pass(text: str) -> Asked:
     before, after = options.pop(BEFORE, None), options.pop(AFTER, None)
     if before and after:
         raise OptionError(f"--pass {text}: a pass stands before or after another one, not both")
-    return Asked(name, options, before, after)
+    return PassRequest(name, options, before, after)
 
 
-def make_asked(asked: Asked) -> Pass:
+def make_asked(asked: PassRequest) -> Pass:
     """The pass, its options read as values of the same kind as their defaults.
 
     Raises RegistryError for an unknown name, PassOptionError for an unknown option or a value of another kind.
@@ -161,7 +161,7 @@ def _value(name: str, key: str, text: str, default: Any) -> Any:
         return text
 
 
-def insert_passes(chain: Sequence[Pass], asked: Sequence[Asked], default: int) -> list[Pass]:
+def insert_passes(chain: Sequence[Pass], asked: Sequence[PassRequest], default: int) -> list[Pass]:
     """A chain with passes that were asked for; those without a place stand before position `default` of it.
 
     Passes of one place stand in the order in which they were asked for, and may name each other. Raises OptionError
@@ -189,7 +189,7 @@ def insert_passes(chain: Sequence[Pass], asked: Sequence[Asked], default: int) -
     return result
 
 
-def _at(chain: Sequence[Pass], one: Asked) -> int | None:
+def _at(chain: Sequence[Pass], one: PassRequest) -> int | None:
     """Where the pass stands that another one is to stand before or after."""
     return next((at for at, instance in enumerate(chain) if instance.name == (one.before or one.after)), None)
 

@@ -22,7 +22,7 @@ import OpenImageIO
 from postfx.errors import Interrupted, ReadError, WriteError
 from postfx.frame import Frame
 from postfx.io.sequence import Sequence
-from postfx.io.writer import Existing, OutputFiles
+from postfx.io.writer import ExistingFiles, OutputFiles
 from postfx.passes.registry import BUILT_IN, plug_ins
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan, Skip
@@ -297,7 +297,7 @@ class Run:
 
     def _choose(self, names: dict[str, int]) -> set[int]:
         """Frames to write: all, or those whose file is missing or not as it should be."""
-        if self._outputs.existing is not Existing.SKIP:
+        if self._outputs.existing is not ExistingFiles.SKIP:
             return set(names.values())
         size = self._sequence.shown_size(self._plan.output.width, self._plan.output.height)
         before, wanted = self._folder.before, set()
@@ -335,7 +335,7 @@ class Run:
 
     def _known(self) -> EarlierRuns:
         """Shot starts and checkpoints of earlier runs with the same settings."""
-        if self._outputs.existing is not Existing.SKIP:
+        if self._outputs.existing is not ExistingFiles.SKIP:
             return EarlierRuns()
         starts = {output.frame for output in self._folder.before.outputs.values()
                   if output.starts and output.sha256 and self._is_alike(output)}

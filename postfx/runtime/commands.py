@@ -18,9 +18,9 @@ from postfx.runtime.encoders import (
     ComputeEncoder,
     Dispatch,
     Encoder,
+    KnownCommands,
     MachineLearningEncoder,
     Record,
-    Recorded,
     Recordings,
 )
 from postfx.runtime.hazards import Footprint, Hazards, predecessors
@@ -163,7 +163,7 @@ class CommandBuffer:
             self._place()
             stands_apart = self.device.hazards.commit(self)
             if self.known and key:
-                self.known.keep(key, Recorded(self.records, self._placement, self.footprint()))
+                self.known.keep(key, KnownCommands(self.records, self._placement, self.footprint()))
             self.device.heap.arena.give_back()
             self._state = "committed"
             capture = self.device.active_capture if self.captured else None

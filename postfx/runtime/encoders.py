@@ -92,7 +92,7 @@ MOST_RECORDINGS = 4
 """Recordings that are known again: histories swap from frame to frame, and some frames are unlike others."""
 
 
-class Recorded(NamedTuple):
+class KnownCommands(NamedTuple):
     """Commands that were committed before, the heap's `Placement` of their transient tensors or None, and the
     `Footprint` of what they access; both types belong to modules above this one."""
 
@@ -106,7 +106,7 @@ class Recordings:
     for hazards anew. It keeps what they use alive."""
 
     def __init__(self) -> None:
-        self._known: LRUCache[tuple[object, ...], Recorded] = LRUCache(MOST_RECORDINGS)
+        self._known: LRUCache[tuple[object, ...], KnownCommands] = LRUCache(MOST_RECORDINGS)
 
     def key(self, records: Sequence[Record], kept: Iterable[Allocation]) -> tuple[object, ...]:
         """What two recordings that are alike have in common."""
@@ -122,11 +122,11 @@ class Recordings:
                 parts += (type(record), record.after, record.before)
         return tuple(parts)
 
-    def find(self, key: tuple[object, ...]) -> Recorded | None:
+    def find(self, key: tuple[object, ...]) -> KnownCommands | None:
         """The commands with this key."""
         return self._known[key] if key in self._known else None
 
-    def keep(self, key: tuple[object, ...], recorded: Recorded) -> None:
+    def keep(self, key: tuple[object, ...], recorded: KnownCommands) -> None:
         """Know these commands from now on. Forgets those in other transient memory, with released tensors, and with
         wrapped arrays that these do not use."""
         memory, users = recorded.placement and recorded.placement.memory, recorded.footprint.users

@@ -15,10 +15,10 @@ from postfx.errors import CommandError, HazardError
 from postfx.runtime.encoders import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.memory import Ranges
 from postfx.runtime.tensor import Allocation, Tensor, TensorState, Transient, Use
-from postfx.runtime.threads import Committed
+from postfx.runtime.threads import Waitable
 
 
-class RecordedCommands(Committed, Protocol):
+class RecordedCommands(Waitable, Protocol):
     """What hazard checks need of a command buffer."""
 
     records: list[Record]

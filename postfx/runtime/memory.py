@@ -345,7 +345,7 @@ def _name_of(code: int, bits: int) -> str:
     return "bool" if word == "bool" else f"{word}{bits}"
 
 
-class Borrowed(NamedTuple):
+class BorrowedArray(NamedTuple):
     """An array of another library in the device's memory; `owner` keeps it there."""
 
     pointer: int
@@ -355,7 +355,7 @@ class Borrowed(NamedTuple):
     owner: object
 
 
-def borrow(array: Any, memory: Memory, place: tuple[int, int] | None) -> Borrowed:
+def borrow(array: Any, memory: Memory, place: tuple[int, int] | None) -> BorrowedArray:
     """An array in this memory, by `__cuda_array_interface__` if that is CUDA's and says what stream to wait for, as
     PyTorch's does not; else by DLPack, whose producer sees to it that our stream waits.
 
@@ -378,7 +378,7 @@ def _name(place: tuple[int, int]) -> str:
     return {1: "the host", 3: "the host", CUDA: f"cuda:{place[1]}"}.get(place[0], f"DLPack's device {place}")
 
 
-def _from_interface(array: Any, told: Any, memory: Memory) -> Borrowed:
+def _from_interface(array: Any, told: Any, memory: Memory) -> BorrowedArray:
     try:
         (pointer, is_read_only), shape = told["data"], tuple(map(int, told["shape"]))
         (dtype, size), strides, stream = _native_type(told["typestr"]), told.get("strides"), told.get("stream")
@@ -389,7 +389,7 @@ def _from_interface(array: Any, told: Any, memory: Memory) -> Borrowed:
     if strides is not None:
         _require_contiguous(shape, [step // size for step in strides])
     memory.follow(stream)
-    return Borrowed(int(pointer or 0), shape, dtype, bool(is_read_only), array)
+    return BorrowedArray(int(pointer or 0), shape, dtype, bool(is_read_only), array)
 
 
 @cache
@@ -399,7 +399,7 @@ def _native_type(typestr: str) -> tuple[str, int]:
     return dtype.name if dtype.isnative else "", dtype.itemsize
 
 
-def _from_capsule(array: Any, memory: Memory) -> Borrowed:
+def _from_capsule(array: Any, memory: Memory) -> BorrowedArray:
     stream = memory.follow(None)
     capsule = array.__dlpack__() if stream is None else array.__dlpack__(stream=stream)
     managed = _Managed.from_address(_open_capsule(capsule, _FRESH))
@@ -407,7 +407,7 @@ def _from_capsule(array: Any, memory: Memory) -> Borrowed:
     if managed.strides:
         _require_contiguous(shape, managed.strides[: managed.ndim])
     # The capsule is left unused: it returns the array when it goes.
-    return Borrowed((managed.data or 0) + managed.offset, shape, _name_of(managed.code, managed.bits), False,
+    return BorrowedArray((managed.data or 0) + managed.offset, shape, _name_of(managed.code, managed.bits), False,
                     capsule)
 
 

@@ -42,7 +42,7 @@ class Weights:
 
 
 @dataclass(frozen=True)
-class Declared:
+class Declaration:
     """An input or output: a name and its dimensions, None where no tensor shape is given. '' is a free dimension."""
 
     name: str
@@ -67,9 +67,9 @@ class ModelFile:
 
     nodes: list[Node] = field(default_factory=list)
     weights: list[Weights] = field(default_factory=list)
-    inputs: list[Declared] = field(default_factory=list)
-    outputs: list[Declared] = field(default_factory=list)
-    inner: list[Declared] = field(default_factory=list)
+    inputs: list[Declaration] = field(default_factory=list)
+    outputs: list[Declaration] = field(default_factory=list)
+    inner: list[Declaration] = field(default_factory=list)
     graphs: int = 0
     extras: set[str] = field(default_factory=set)
 
@@ -169,7 +169,7 @@ class _Reader:
         found = {number: text(value) for number, value in self._wire.fields(message)}
         return {found.get(1, ""): found.get(2, "")}
 
-    def _parse_declared(self, message: memoryview) -> Declared:
+    def _parse_declared(self, message: memoryview) -> Declaration:
         name, shape = "", None
         for number, value in self._wire.fields(message):
             if number == 1:
@@ -178,7 +178,7 @@ class _Reader:
                 for kind, tensor in self._wire.fields(_message(value)):
                     if kind == 1:
                         shape = self._shape(_message(tensor))
-        return Declared(name, shape)
+        return Declaration(name, shape)
 
     def _shape(self, tensor: memoryview) -> tuple[Dimension, ...] | None:
         shape = None

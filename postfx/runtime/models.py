@@ -10,7 +10,7 @@ from typing import Any
 
 from postfx.errors import ModelError, suggest
 from postfx.files import make_printable, parse_json, read_text
-from postfx.runtime.model_file import Declared, ModelFile, Weights, WireError, parse_model
+from postfx.runtime.model_file import Declaration, ModelFile, Weights, WireError, parse_model
 from postfx.system import is_plain_name, models_dir
 
 _PARTS = {"inputs": dict, "outputs": dict, "weights": str}
@@ -261,7 +261,7 @@ def _wrong_sizes(model: ModelFile) -> Iterator[str]:
             yield f"a node '{node.operator}' makes {_text(size)} elements"
 
 
-def _differences(kind: str, found: list[Declared], card: Mapping[str, Any]) -> Iterator[str]:
+def _differences(kind: str, found: list[Declaration], card: Mapping[str, Any]) -> Iterator[str]:
     declared = card.get(f"{kind}s")
     if declared is None:
         return

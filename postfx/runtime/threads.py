@@ -261,19 +261,19 @@ def _time_pauses(count: int) -> float:
     pauses(count)
     return time.perf_counter() - begin
 
-class Labelled(Protocol):
+class HasLabel(Protocol):
     """What messages name."""
 
     label: str
 
 
-class Committed(Protocol):
+class Waitable(Protocol):
     """Commands that can be waited for."""
 
     label: str
 
     @property
-    def running(self) -> Labelled | None: ...
+    def running(self) -> HasLabel | None: ...
 
     def is_done(self, timeout: float | None = 0.0) -> bool: ...
 
@@ -284,7 +284,7 @@ NAMED = 4
 """How many waiting command buffers a message names at most."""
 
 
-def wait_for_all(name: str, flying: Sequence[Committed], timeout: float | None) -> None:
+def wait_for_all(name: str, flying: Sequence[Waitable], timeout: float | None) -> None:
     """Wait for all buffers, in order; then raise the first error, if any failed.
 
     Args:
@@ -305,7 +305,7 @@ def wait_for_all(name: str, flying: Sequence[Committed], timeout: float | None) 
         raise first
 
 
-def timeout_error(what: str, flying: Sequence[Committed]) -> CommandTimeout:
+def timeout_error(what: str, flying: Sequence[Waitable]) -> CommandTimeout:
     """An error that names the command that runs now and the buffers that wait behind it."""
     buffers = [commands for commands in flying if not commands.is_done()]
     if not buffers:

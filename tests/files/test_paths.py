@@ -14,7 +14,7 @@ import pytest
 from postfx.errors import ReadError, SequenceError, WriteError
 from postfx.io.pattern import parse_frames, parse_pattern
 from postfx.io.sequence import Sequence, read_sequence
-from postfx.io.writer import Existing, OutputFiles
+from postfx.io.writer import ExistingFiles, OutputFiles
 from tests.files.conftest import names
 from tests.files.exr_files import channel_hashes, write_mixed
 
@@ -172,7 +172,7 @@ def test_an_input_folder_that_links_to_itself(tmp_path: Path) -> None:
 
 def test_an_output_folder_that_links_to_itself(shot, tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to("loop", target_is_directory=True)
-    outputs = OutputFiles(f"{tmp_path}/loop/a.####.exr", Sequence(shot(1)), Existing.OVERWRITE)
+    outputs = OutputFiles(f"{tmp_path}/loop/a.####.exr", Sequence(shot(1)), ExistingFiles.OVERWRITE)
     assert outputs.path(1).name == "a.0001.exr"
 
 
@@ -243,4 +243,4 @@ def test_errors_of_a_disk_while_reading_are_told(shot, monkeypatch: pytest.Monke
 
 def test_writing_to_an_input_is_refused_in_the_library_as_well(shot, tmp_path: Path) -> None:
     with pytest.raises(WriteError, match="is an input"):
-        OutputFiles(str(tmp_path / "in/SHOT.####.exr"), Sequence(shot(1)), Existing.OVERWRITE)
+        OutputFiles(str(tmp_path / "in/SHOT.####.exr"), Sequence(shot(1)), ExistingFiles.OVERWRITE)

@@ -12,7 +12,7 @@ from postfx.colour.displays import parse_display, srgb_decode, srgb_encode
 from postfx.errors import OutputExistsError, WriteError
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
-from postfx.io.writer import Existing, OutputFiles, is_complete, write_frame
+from postfx.io.writer import ExistingFiles, OutputFiles, is_complete, write_frame
 
 
 @pytest.fixture
@@ -225,7 +225,7 @@ def test_existing_outputs(sequence, frame, tmp_path):
     write_frame(tmp_path / "out.0002.exr", frame)
     with pytest.raises(OutputExistsError, match=r"out\.0002\.exr: is already there: give --overwrite"):
         OutputFiles(f"{tmp_path}/out.####.exr", sequence).check((1, 2))
-    for existing in (Existing.OVERWRITE, Existing.SKIP):
+    for existing in (ExistingFiles.OVERWRITE, ExistingFiles.SKIP):
         OutputFiles(f"{tmp_path}/out.####.exr", sequence, existing).check((1, 2))
 
 

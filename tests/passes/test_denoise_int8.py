@@ -143,7 +143,7 @@ def test_rounding_makes_up_for_itself() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_channels_of_more_equal_ranges_are_the_same_network(name: str, small_models: Path) -> None:
     model = unfold_half(lower_constants(onnx.load(small_models / f"{name}.onnx")))
-    shown = list(quantise.joined(model.graph))
+    shown = list(quantise.find_groups(model.graph))
     assert set(activations(model.graph, quantise.layers_of(model.graph, name))) <= set(shown)
     random = np.random.default_rng(0)
     reads = {value.name: random.random((1, value.type.tensor_type.shape.dim[1].dim_value, 32, 48), np.float32)

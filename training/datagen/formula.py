@@ -92,7 +92,7 @@ def log_uniform(low: float, high: float, *shape: int, device: torch.device) -> T
     return torch.exp(math.log(low) + torch.rand(shape, device=device) * math.log(high / low))
 
 
-def chosen(share: float, count: int, device: torch.device) -> Tensor:
+def draw_share(share: float, count: int, device: torch.device) -> Tensor:
     """(count,) bool, a share of them true."""
     return torch.rand(count, device=device) < share
 
@@ -116,14 +116,14 @@ def draw_scenes(count: int, side: int, device: torch.device) -> Scene:
     whole = torch.rand(*shape, 1, device=device)
     speed = torch.where(whole < 0.5, speed.round(), speed) * (whole > 0.2)
     glow = torch.zeros(*shape, 3, device=device)
-    lamp, sign = chosen(LAMPS, count, device), chosen(SIGNS, count, device)
+    lamp, sign = draw_share(LAMPS, count, device), draw_share(SIGNS, count, device)
     tint = 0.4 + 0.6 * torch.rand(count, 3, device=device)
     glow[:, 1] = (log_uniform(2, 60, count, device=device) * lamp)[:, None] * tint
     glow[:, 3] = (log_uniform(1, 30, count, device=device) * sign)[:, None]
     size = torch.stack((torch.full((count,), 1e6, device=device), log_uniform(2, side / 4, count, device=device),
                         log_uniform(4, side / 2, count, device=device), log_uniform(0.5, 2, count, device=device)), 1)
     normal = torch.nn.functional.normalize(torch.randn(*shape, 3, device=device), dim=2)
-    covered = chosen(COVERED, count, device)[:, None, None]
+    covered = draw_share(COVERED, count, device)[:, None, None]
     cover = torch.where(covered, 0.1 + 0.9 * torch.rand(count, LATTICE, LATTICE, device=device), 1.0)
     smooth, span = torch.rand(shape, device=device) < 0.3, log_uniform(12, 96, *shape, device=device)
     return Scene(albedo, cell, smooth, light, span, torch.rand(*shape, 2, device=device) * side, speed, size, glow,
@@ -240,9 +240,9 @@ def draw_clips(count: int, frames: int, side: int, scale: float,
     """Clips of ``frames`` frames at ``side`` x ``side`` render pixels, for `save_clip`: the reference at
     ``scale`` times that, the noisy renders, and guides of one sample a pixel."""
     scene, full = draw_scenes(count, side, device), round(side * scale)
-    jittered = chosen(JITTERED * (scale > 1), count, device)
+    jittered = draw_share(JITTERED * (scale > 1), count, device)
     jitter = (torch.rand(count, frames, 2, device=device) - 0.5) * jittered[:, None, None]
-    false = chosen(FALSE_MOTION, count, device)
+    false = draw_share(FALSE_MOTION, count, device)
     draws = [draw_sampling(count, device, noisy=v < VARIANTS) for v in range(VARIANTS + 1)]
     references, renders, guides = [], [[] for _ in draws], []
     for t in range(frames):

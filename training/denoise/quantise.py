@@ -130,7 +130,7 @@ LEAST_SHARE = 1 / 64
 CHANNELWISE = ("Relu", "MaxPool", "Resize", "Add")
 
 
-def joined(graph: onnx.GraphProto) -> dict[str, str]:
+def find_groups(graph: onnx.GraphProto) -> dict[str, str]:
     """Tensor -> the group of tensors whose channels have to be multiplied alike, by one of them; without tensors that
     must stay as they are."""
     constants = {weight.name for weight in graph.initializer}
@@ -157,7 +157,7 @@ def equalise(model: onnx.ModelProto, shares: Mapping[str, np.ndarray]) -> onnx.M
         shares: tensor -> the part of its range that each channel needs, (C,).
     """
     model = onnx.ModelProto.FromString(model.SerializeToString())
-    group, needs = joined(model.graph), {}
+    group, needs = find_groups(model.graph), {}
     for name, share in shares.items():
         if name in group:
             needs[group[name]] = np.maximum(needs.get(group[name], 0), share)

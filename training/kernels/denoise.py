@@ -60,7 +60,7 @@ class Window(NamedTuple):
     def of(cls, window: Tensor) -> "Window":
         return cls(*window.long().unbind())
 
-    def held(self, part: Tensor) -> ops.Place:
+    def positions(self, part: Tensor) -> ops.Place:
         """Rows and columns of the frame that a part (h, w, C) holds; its last ones are repeated."""
         rows, columns = list_places(part)
         return (rows + self.top).clamp(max=self.h - 1), (columns + self.left).clamp(max=self.w - 1)
@@ -218,7 +218,7 @@ class Accumulate(nn.Module):
     def forward(self, colour: Tensor, diffuse_albedo: Tensor, specular_albedo: Tensor, means: Tensor, depth: Tensor,
                 past: Tensor, fine: Tensor, params: Tensor, window: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         place = Window.of(window)
-        (h, w), at, valid = past.shape[:2], place.held(past), place.valid(past)
+        (h, w), at, valid = past.shape[:2], place.positions(past), place.valid(past)
         here, old = fine[:, :, :h, :w], to_image(past)
         factor = ops.demodulation(part(diffuse_albedo, *at), part(specular_albedo, *at))
         factor = network.mix_in_mean(factor, self._mean_around(at, means, place), self._doubt(here, means))

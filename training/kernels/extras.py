@@ -319,7 +319,7 @@ class AccumulatePart(nn.Module):
     def forward(self, values: Tensor, coding: Tensor, factor: Tensor, past: Tensor,
                 moved: Tensor, last_part: Tensor, fine: Tensor, window: Tensor) -> tuple[Tensor, Tensor]:
         place = Window.of(window)
-        (th, tw), at, valid = past.shape[:2], place.held(past), to_image(place.valid(past))
+        (th, tw), at, valid = past.shape[:2], place.positions(past), to_image(place.valid(past))
         known = ops.sanitise(ops.pick(to_image(values), *at), -MAX_FLOAT, MAX_FLOAT)
         coded = (known - coding[0]).clamp(min=0) * coding[1]
         now = torch.minimum(coded / to_image(factor), coding[2])

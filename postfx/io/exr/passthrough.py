@@ -306,12 +306,12 @@ def _join(header: Header, own: Header, rows: Rows, names: list[str], others: Row
     """Reads the picture's channels and others beside them, in the order of the header of both."""
     fresh, order = [channel.name for channel in own.channels], [channel.name for channel in header.channels]
 
-    def joined(first: int, last: int) -> list[np.ndarray]:
+    def read_joined(first: int, last: int) -> list[np.ndarray]:
         found = dict(zip(fresh, rows(first, last), strict=True))
         found |= zip(names, others(first, last), strict=True)
         return [found[name] for name in order]
 
-    return joined
+    return read_joined
 
 
 def resize_header(header: Header, data: Window, channels: list[ChannelInfo]) -> Header:

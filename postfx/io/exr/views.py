@@ -150,8 +150,8 @@ def _join(header: Header, names: list[str], readers: list[Rows]) -> Rows:
     """Reads the channels `names`, which `readers` give one after another, in the order of the header."""
     order = [channel.name for channel in header.channels]
 
-    def joined(first: int, last: int) -> list[np.ndarray]:
+    def read_joined(first: int, last: int) -> list[np.ndarray]:
         found = dict(zip(names, (rows for read in readers for rows in read(first, last)), strict=True))
         return [found[name] for name in order]
 
-    return joined
+    return read_joined

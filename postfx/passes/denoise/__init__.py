@@ -226,7 +226,7 @@ class DenoiseUpscale(Pass):
         if not (self.strength and self._fresh):
             return {}
         known = {"exposure": np.array(self._exposure, np.float64), f"{NETWORK}{self._used}": np.array(1, np.int64)}
-        return known | self._cameras.kept() | self._history.kept() | self._part_history.kept()
+        return known | self._cameras.snapshot() | self._history.snapshot() | self._part_history.snapshot()
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)

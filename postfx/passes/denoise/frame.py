@@ -256,7 +256,7 @@ class Frames:
         seen = {**planes, **self._common, **self._history.last}
         targets = {"output": self._output, **self._history.next, **written}
         masked = keep and self._reactive
-        kept = self._history.cover(band.held if band and not layers else (0, self._sizes.h))
+        kept = self._history.cover(band.rows_held if band and not layers else (0, self._sizes.h))
         if band is None and self._whole:
             self._encode_window(commands, self._whole, self._window, seen | targets, keep and not still, masked, layers)
         for some in [band] if band else self._bands:

@@ -98,7 +98,7 @@ class History:
         tensors = {"history": self._outputs[1], **self._rooms[1].of(self._size)}
         return {NEXT[name]: tensor for name, tensor in tensors.items()}
 
-    def kept(self) -> dict[str, np.ndarray]:
+    def snapshot(self) -> dict[str, np.ndarray]:
         """Between two frames: the history by the kernels' names, and its render size."""
         return {"size": np.array(self._size, np.int64)} | {name: tensor.content() for name, tensor in self.next.items()}
 
@@ -214,7 +214,7 @@ class LayerHistory:
         """The tensors for this frame's output and accumulated values."""
         return self._outputs[1], self._rooms[1].of(self._size)["last_part"]
 
-    def kept(self) -> dict[str, np.ndarray]:
+    def snapshot(self) -> dict[str, np.ndarray]:
         """Between two frames: the values that the last one left; empty if it left none."""
         if not self.frames or not self._rooms:
             return {}
@@ -284,10 +284,10 @@ class PartHistory:
         for layer in self.layers.values():
             layer.frames = 0
 
-    def kept(self) -> dict[str, np.ndarray]:
+    def snapshot(self) -> dict[str, np.ndarray]:
         """Between two frames: the values that the last one left, by 'part NAME of a layer'."""
-        kept = {name: layer.kept() for name, layer in self.layers.items() if name not in self.own}
-        kept |= {name: self.own[name].kept() | {"stops": np.array(self.stops[name])} for name in self.ran}
+        kept = {name: layer.snapshot() for name, layer in self.layers.items() if name not in self.own}
+        kept |= {name: self.own[name].snapshot() | {"stops": np.array(self.stops[name])} for name in self.ran}
         return {f"part {key} of {name}": array for name, arrays in kept.items() for key, array in arrays.items()}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
@@ -390,7 +390,7 @@ class Cameras:
         """Forget the frame before."""
         self._last = None
 
-    def kept(self) -> dict[str, np.ndarray]:
+    def snapshot(self) -> dict[str, np.ndarray]:
         """Between two frames: the last camera and its facts."""
         return {"camera": self._last.matrix, "fov_x": np.array(self._last.fov_x, np.float64)} if self._last else {}
 

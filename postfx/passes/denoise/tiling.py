@@ -74,14 +74,14 @@ class Window:
         return Box(top, left, rows, columns)
 
     @property
-    def padded(self) -> tuple[int, int]:
+    def padded_size(self) -> tuple[int, int]:
         """Rows and columns that the network sees: the next multiples of the grid."""
         return whole_steps(self.rows, self.frame.grid), whole_steps(self.columns, self.frame.grid)
 
     def level(self, i: int) -> tuple[int, int]:
         """Size of a pyramid level, whose cells lie where the whole frame's cells do. It is the same for all windows of
         one size, so the last row and column may be empty."""
-        frame, (rows, columns) = self.frame, self.padded
+        frame, (rows, columns) = self.frame, self.padded_size
         return _cells(rows, frame.h, frame.grid, i), _cells(columns, frame.w, frame.grid, i)
 
     def area(self, i: int) -> np.ndarray:
@@ -111,8 +111,8 @@ class Window:
             "window": [self.top, self.left, frame.h, frame.w, out.top, out.left, frame.height, frame.width],
             "part_rows": _counted(self.top, self.rows, frame.h),
             "part_columns": _counted(self.left, self.columns, frame.w),
-            "seen_rows": _mirrored(self.padded[0], min(self.rows, frame.h - self.top)),
-            "seen_columns": _mirrored(self.padded[1], min(self.columns, frame.w - self.left)),
+            "seen_rows": _mirrored(self.padded_size[0], min(self.rows, frame.h - self.top)),
+            "seen_columns": _mirrored(self.padded_size[1], min(self.columns, frame.w - self.left)),
             "out_rows": _counted(out.top, out.rows, frame.height),
             "out_columns": _counted(out.left, out.columns, frame.width)}
         return {name: np.asarray(value, np.float32) for name, value in values.items()}
@@ -200,7 +200,7 @@ class Band:
         return self.top, self.top + self.rows
 
     @property
-    def held(self) -> Rows:
+    def rows_held(self) -> Rows:
         """The rows of the frame that its windows hold, halo included."""
         windows = [tile.window for tile in self.tiles]
         return min(one.top for one in windows), min(max(one.top + one.rows for one in windows), windows[0].frame.h)
