@@ -43,7 +43,7 @@ class Sequence:
         guides: sequence of the files of the planes at output size, None where they are in the same files or absent.
         numbers: frame numbers, in order of processing. Holes in what is on the disk are kept as numbers: reading such
             a frame raises MissingFrameError.
-        colours: in which primaries the files hold colours, and whether they are turned to Rec.709; may be replaced.
+        colours: in which primaries the files hold colours, and whether they are converted to Rec.709; may be replaced.
         warnings: oddities of the files read so far, each once.
         leave: what is left as it is.
         motion: where motion comes from, see `MOTIONS`.
@@ -449,7 +449,7 @@ def read_sequence(
             misses, such as 'auto,logo,glass_*=0.5,7-9@id', see `postfx.masks.parse_leave`.
         colourspace: linear primaries of colours and reflectances, guides included: rec709, p3, rec2020, acescg or
             aces2065-1, in place of what headers say (chromaticities, colorInteropID; Rec.709 without any). They are
-            turned to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.
+            converted to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.
         without: roles of planes to take as absent, such as `Role.OVERLAY`.
         layer: view layer or other layer whose channels are read; None for that with the most planes.
         view: of stereo files, such as 'left'; None for the first, or for all where {view} in `pattern` says that each

@@ -96,16 +96,16 @@ def write_frame(
     The file appears under its name only when it is complete; folders are made.
 
     Args:
-        half: of EXR, whether its channels are half floats; the same as `bits`, which tells it for all formats.
-        relax: is called again and again meanwhile.
+        half: whether an EXR's channels are half floats; `bits` says it for all formats.
+        relax: called repeatedly while the file is written.
         dither: moving, static or none.
         provenance: attributes for an EXR header that tell how the frame came about.
         keep: write everything else that the frame's source holds into an EXR, see `postfx.io.exr.passthrough`; None:
             only beside a picture that has the source's size.
         bits: EXR 16 (half floats, default) or 32 (floats, default beside parts that are distances or places); PNG and
             TIFF 8 or 16 (default: PNG 8, but 16 for HDR displays; TIFF 16); JPEG 8.
-        compression: of EXR: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa or dwab, the last two with a level as in
-            'dwaa:45'. ZIP is the fastest, pxr24 (floats), b44 and dwa lose a little.
+        compression: of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa or dwab, the last two with a level
+            as in 'dwaa:45'. ZIP is the fastest, pxr24 (floats), b44 and dwa lose a little.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot
     hold such a picture, ReadError when what is kept cannot be read.

@@ -103,15 +103,17 @@ _KINDS = _Kind("grid", SMOOTH, SLICE_APPLY, "grid"), _Kind("stops", EXPOSE, APPL
 
 
 class ToneMap(Pass):
-    """A small network looks at a 256x256 copy and gives a grid of colour matrices, looked up at every pixel (HDRNet),
-    or one exposure; a colour cube follows. Looks that depend on colour alone are a cube without a network.
+    """Gives scene-linear light a look for an sRGB display.
+
+    A small network looks at a 256x256 copy and gives a grid of colour matrices, looked up at every pixel (HDRNet), or
+    one exposure. A colour cube follows. Looks that depend on colour alone are a cube without a network.
 
     Options:
         tag: the look, as in ``tonemap.<tag>``, or the file of a model: ``looks/tonemap.mine.onnx``.
         keep: part of the last frame's grid or exposure that is kept in steady light, 0 up to (not
             including) 1, by default as the look's card says; less is kept while light changes
-            (``postfx.kernels.tonemap``), and none at the first frame and at cuts. That of a still picture does not
-            change; with 0 no frame has a past.
+            (``postfx.kernels.tonemap``), and none at the first frame and at cuts. Still pictures do not change; 0
+            ignores earlier frames.
 
     Colour comes out sRGB-encoded in [0, 1]. Raises PassOptionError for a keep outside [0, 1).
     """

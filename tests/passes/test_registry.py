@@ -1,5 +1,6 @@
 """Passes are found by name, from entry points and from the folder."""
 
+import re
 import sys
 import tomllib
 from importlib.metadata import EntryPoint
@@ -65,6 +66,7 @@ def test_a_pass_of_another_package(foreign):
     assert "foreign  (a package without a name)\n    Of another package: has a size, a flag, a way.\n" \
         "    options: size=3, share=0.5, flag=false, way=up, lut=none" in listed
     assert "tonemap  (postfx " in listed
+    assert [line for line in re.findall(r"^    (?!options)(.*)$", listed, re.MULTILINE) if not line.endswith(".")] == []
 
 
 @pytest.mark.parametrize(("target", "message"), [

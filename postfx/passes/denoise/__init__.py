@@ -47,8 +47,9 @@ NETWORK = "network "
 
 
 class DenoiseUpscale(Pass):
-    """Denoise and enlarge, reusing earlier frames along their motion. Needs only colour, and reads the other planes
-    that a frame has.
+    """Denoises and enlarges, reusing earlier frames along their motion.
+
+    It needs only colour, and reads the other planes that a frame has.
 
     Options:
         scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 2 without guides.
@@ -60,8 +61,9 @@ class DenoiseUpscale(Pass):
             on a CPU and for frames without parts.
         library: the `postfx.Library`, or folder, in which `denoise_upscale.<model>` and its variants are; None for the
             networks that come with postfx.
-        budget: milliseconds that a frame may take on the device, None for no limit: networks smaller than `model`, of
-            its precision ('s' below 'm', 's' and 'm' below 'l') and 'classic' take turns with it; the history goes on.
+        budget: milliseconds that a frame may take on the device, None for no limit. Where `model` is too slow,
+            smaller networks of its precision run ('s' below 'm', 's' and 'm' below 'l'), or 'classic'; the history
+            goes on.
         strength: 0 returns the input, only resampled, and runs no network; 1 denoises fully. The plane `strength` sets
             it pixel by pixel, and both are multiplied; no network runs where it is 0.
         parts: names of the frames' parts that are denoised with the picture, or `postfx.frame.Part` for those that are
@@ -71,7 +73,7 @@ class DenoiseUpscale(Pass):
         alpha: whether alpha is denoised with the picture, where it is neither 0 nor 1; else it is only resampled.
         reactive: where the history is not used, for things that move without motion vectors, such as particles:
             'plane', the plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto',
-            the first of the two that the frame has; 'none'. Then perhaps scale= and threshold=, as in
+            the first of the two that the frame has; 'none'. scale= and threshold= may follow, as in
             'auto,scale=4,threshold=0.05'.
 
     A transparency overlay is only resampled; the pass `overlay` composites. The plane `later` is handed on
