@@ -237,7 +237,7 @@ class Pipeline:
     def savings(self) -> list[Skip]:
         """What the passes spared the frames so far, with the time that it saved."""
         steps = self.plan.steps if self.plan else ()
-        return [Skip(f"{step.name}: {what}", why) for step in steps for what, why in step.instance.savings()]
+        return [Skip(f"{what} in {step.name}", why) for step in steps for what, why in step.instance.savings()]
 
     def reset(self) -> None:
         """Drop all history: the next frame is treated as the first of a sequence."""

@@ -192,12 +192,13 @@ class Interpolation:
     def text(self) -> str:
         """The summary for people."""
         found = self.summary
-        lines = [f"wrote    {self._outputs.pattern}: {found.kept} frames of {self._sequence.pattern}, {found.made} new",
+        kept = f"{found.kept} frames of {self._sequence.pattern}"
+        lines = [f"wrote    {self._arguments.output}: {kept}, {found.made} new",
                  f"time     {found.seconds:.1f} s, {found.seconds / max(found.made, 1):.2f} s a new frame"]
         lines += [f"repeated {len(found.repeated)} frames"] * bool(found.repeated)
         lines += [f"left out {len(found.skipped)} frames"] * bool(found.skipped)
-        passed = ", ".join(f"{interval:g} ({count})" for interval, count in sorted(found.intervals.items()))
-        lines.append(f"motion   goes on by so many frames of {self._sequence.pattern} (so often): {passed}")
+        passed = ", ".join(f"{interval:g} ({count} times)" for interval, count in sorted(found.intervals.items()))
+        lines.append(f"motion   from one new frame to the next, in frames of {self._sequence.pattern}: {passed}")
         if found.psnr:
             mean = sum(found.psnr.values()) / len(found.psnr)
             lines.append(f"PSNR     {mean:.2f} dB, mean of {len(found.psnr)} new frames against the reference")

@@ -29,6 +29,7 @@ from postfx.version import __version__
 LINEAR_FORMATS = (".exr",)
 DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG)
 WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
+_VIDEOS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".gif")
 _DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays if not told otherwise
 _LEVELLED = ("dwaa", "dwab")
 _PNG_LEVEL, _PNG_PAETH = 3, 128  # with alpha: half the time of level 6 and a filter chosen for each row, for 4 % more
@@ -42,6 +43,10 @@ OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 def is_display_format(path: str | PathLike[str]) -> bool:
     """Whether files of this name hold display-encoded pictures; WriteError when the format cannot be written."""
     suffix = Path(path).suffix.lower()
+    if suffix in _VIDEOS:
+        stem = str(Path(path).with_suffix("")).rstrip("#@.")
+        raise WriteError(f"{path}: postfx writes frames: write '{stem}.####.png', then run ffmpeg -framerate 24 -i "
+                         f"{stem}.%04d.png -pix_fmt yuv420p {stem}{suffix}")
     if suffix not in WRITABLE:
         raise WriteError(f"{path}: unknown format '{suffix}': use {', '.join(WRITABLE)}")
     return suffix in DISPLAY_FORMATS

@@ -168,6 +168,7 @@ def test_input_without_colour(postfx, write_exr):
         (("--strength", "0.5"), "--strength is for the denoiser, which --no-denoise leaves out"),
         (("-o", "out/shot.exr"), "one file for 2 frames: write it like shot.####.exr"),
         (("-o", "out/shot.####.bmp"), "unknown format '.bmp': use .exr"),
+        (("-o", "out/shot.mp4"), "write 'out/shot.####.png', then run ffmpeg -framerate 24 -i out/shot.%04d.png"),
         (("-o", "in/"), "in/shot.0001.exr: is an input"),
         (("-o", "in/shot.0001.exr/x.####.exr"), "x.0001.exr: cannot be written"),
     ],

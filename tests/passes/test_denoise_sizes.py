@@ -115,7 +115,7 @@ def test_what_a_size_needs_is_made_once_and_the_rest_is_let_go(
     assert made == [96, 80, 64] + [92, 88, 84, 76, 72, 68, 96] * 2
     assert len(upscaler._sizes) == MOST_SIZES and abs(used[-1] - used[13]) < 0.01 * used[-1]
     (line,) = [line for line in pipeline.savings() if "change" in line.what]
-    assert line.what == "denoise_upscale: preparation at 4 of 20 changes of size"
+    assert line.what == "preparation at 4 of 20 changes of size in denoise_upscale"
 
 
 def test_the_history_has_room_for_larger_frames_too(device: Device) -> None:

@@ -84,7 +84,7 @@ def test_strength_1_everywhere_is_not_blended(size: tuple[int, int], scale: floa
     wanted = run(frames, device, scale=scale)
     assert [np.array_equal(one, other) for one, other in zip(found, wanted, strict=True)] == [True, False, True]
     told = {item.what: item.why for item in pipeline.explain().skips}
-    assert told["denoise_upscale: blend with the input for 2 frames"] == "strength is 1 everywhere"
+    assert told["blend with the input for 2 frames in denoise_upscale"] == "strength is 1 everywhere"
 
 
 def test_noise_that_is_left_in_does_not_reach_the_next_frame(device: Device) -> None:

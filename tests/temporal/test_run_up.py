@@ -215,7 +215,7 @@ def test_what_comes_out_is_the_frame_itself(noisy, device):
         expected, found = plain(frame), passes(frame)
         assert (found.number, found.reset, found.spec) == (expected.number, expected.reset, expected.spec)
         assert passes.exposure == plain.exposure
-    assert [item.what for item in plain.savings()] == ["denoise_upscale: history for 1 frame"]
+    assert [item.what for item in plain.savings()] == ["history for 1 frame in denoise_upscale"]
     assert passes.savings() == []
 
 
