@@ -485,8 +485,8 @@ extern "C" __global__ void neural_grid(View grid, View table, View points, View 
     rows.at[size_t(y) * rows.size[1] + x] = value;
 }
 
-// grid (20,), points (points, dims + others), pulls (points, inputs) -> sums (levels, entries * numbers) int64, in units
-// of 2^-44: a block for a level.
+// grid (20,), points (points, dims + others), pulls (points, inputs) -> sums (levels, entries * numbers) int64, in
+// units of 2^-44: a block for a level.
 extern "C" __global__ void __launch_bounds__(256) neural_grid_pull(View grid, View points, View pulls, View sums) {
     const int dims = int(grid.at[0]), numbers = int(grid.at[1]), level = blockIdx.y;
     unsigned long long* const row = reinterpret_cast<unsigned long long*>(sums.at) + size_t(level) * sums.size[1];
