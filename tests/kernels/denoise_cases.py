@@ -74,7 +74,7 @@ class Case(NamedTuple):
     def sizes(self) -> dict[str, int]:
         """Value of every symbol in the kernels' shapes."""
         window = self.window
-        hp, wp = window.padded
+        hp, wp = window.padded_size
         return {**self._asdict(), "hp": hp, "wp": wp, "half_hp": hp // 2, "half_wp": wp // 2,
                 "finer_h": 2 * hp - self.second - self.h % 3, "finer_w": 2 * wp - self.second - self.w % 3,
                 "coarse_h": hp // 2 + self.second, "coarse_w": wp // 2 + self.second,
