@@ -188,6 +188,8 @@ EQUIVALENT = {
     "number: 0 -> -1 in _correct_type(headers[0]": "a file of one part has one header",
     "number: 7 -> 6 in shifted = [correlation(": "noise is as unrelated to that of six pixels away as of seven",
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",
+    "number: 2 -> 3 in lines = np.empty((3, count + 2)": "a row is longer than what is read of it",
+    "operator: <= -> < in light[i] = max(mixed, ZERO) if mixed <= MAX_FLOAT": "no light is just the largest number",
     "chosen: or abs(columns[1]) > MARGIN - 3 -> or columns[1] > MARGIN - 3": "the second column lies after the first",
 }
 """How the name of a fault begins -> why no test can find it."""

@@ -22,7 +22,8 @@ def dynamic(write_exr):
 def test_the_output_keeps_its_size_and_the_history_goes_on(postfx, dynamic, tmp_path):
     done = postfx(*RUN, "--size", "72x48", "--json")
     assert done.code == 0, done.err
-    assert "preparation at 1 of 3 changes of size in denoise_upscale: frames of these sizes were there before" in done.err
+    assert ("preparation at 1 of 3 changes of size in denoise_upscale: frames of these sizes were there before"
+            in done.err)
     assert "history for 1 frame in denoise_upscale: first frame" in done.err
     frames = list(read_sequence(tmp_path / "out" / "clean.####.exr"))
     assert [frame[Role.COLOUR].shape for frame in frames] == [(48, 72, 3)] * 4

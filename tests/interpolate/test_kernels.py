@@ -122,3 +122,10 @@ def test_a_cell_that_keeps_all_detail_keeps_it_up_to_the_middle_of_those_beside(
     blend.find_row(cells.ravel(), 4, 4, np.float32(0.5), 4, paths)
     np.testing.assert_allclose(paths[:, 6], [0.5, 0.5, 0.5, between, (between if beside == 1 else 0.8), beside, beside,
                                              beside], rtol=1e-6)
+
+
+def test_depth_is_that_of_the_pixels_cell():
+    depth = np.arange(12, dtype=np.float32).reshape(3, 4, 1)
+    places = {(0, 0): 0, (1, 1): 0, (2, 3): 5, (-3, 5): 2, (4, -1): 8, (9, 9): 11}
+    for (y, x), wanted in places.items():
+        assert choose.depth_at(depth, np.float32(y), np.float32(x), np.float32(2)) == wanted

@@ -174,8 +174,10 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return 3 + np.arange(size[0])
     if name in ("rows", "at_rows"):
         return positions(case.h, case.height, 0.3)
-    if name in ("columns", "at_columns"):
+    if name == "columns":
         return positions(case.w, case.width, -0.4)
+    if name == "at_columns":  # beyond either side
+        return positions(case.w, case.width, 0.4 if case.h % 2 else -0.4)
     if name == "radiance":
         return np.pad(20 * unit[:, 1:-1, 1:-1] ** 3, ((0, 0), (1, 1), (1, 1)), "edge")
     if name in ("motion", "moved"):  # every eighth column is still
