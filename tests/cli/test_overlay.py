@@ -102,8 +102,8 @@ def test_what_is_skipped_is_told(postfx, shot, write_exr):
     assert "overlay: reads colour, overlay; writes colour" in explained
     assert "skips   overlay: --overlay ignore" in postfx(*RUN, "--explain", "--overlay", "ignore").out
     done = postfx(*RUN)
-    line = next(line for line in done.err.splitlines() if "overlay: compositing" in line)
-    assert "compositing for 2 frames: the overlay is 0 there; which takes" in line
+    line = next(line for line in done.err.splitlines() if "compositing for" in line)
+    assert "compositing for 2 frames in overlay: the overlay is 0 there; which takes" in line
     write_exr("plain.exr", {c: np.ones((20, 30)) for c in "RGB"})
     assert "skips   overlay: there is no overlay" in postfx("run", "plain.exr", "--explain").out
 

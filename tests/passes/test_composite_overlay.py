@@ -147,7 +147,7 @@ def test_an_empty_overlay_changes_no_bit(scale: int, device: Device) -> None:
     found, wanted = (run(each)[Role.COLOUR].view(np.uint32) for run, each in ((pipeline, frame), (other, bare)))
     np.testing.assert_array_equal(found, wanted)
     assert pipeline.timings["overlay"] == 0
-    assert "overlay: compositing for 1 frame: the overlay is 0 there" in str(pipeline.explain())
+    assert "compositing for 1 frame in overlay: the overlay is 0 there" in str(pipeline.explain())
 
 
 def test_only_what_is_covered_changes(device: Device) -> None:
