@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import sys
 from collections.abc import Iterator
@@ -135,6 +134,8 @@ class ExposureCheck:
 
     def as_dict(self) -> dict[str, Any]:
         """What was measured, in plain types; EV are stops, levels parts of the signal."""
+        from dataclasses import asdict
+
         report = self._report
         return {
             "source": str(self._sequence.pattern),
@@ -145,7 +146,7 @@ class ExposureCheck:
             "verdict": report.verdict,
             "level_right": round(report.grey, 5),
             "measurable_ev": report.limits_ev,
-            "shots": [_round(dataclasses.asdict(shot)) for shot in report.shots],
+            "shots": [_round(asdict(shot)) for shot in report.shots],
             "frames": [_round(reading._asdict()) for reading in report.readings],
         }
 
@@ -192,6 +193,8 @@ class ExposureCheck:
 
     def _write_views(self, folder: Path) -> Iterator[Path]:
         """The whole chain runs here: noise would be in every view."""
+        from dataclasses import replace
+
         from postfx.frame import Role
         from postfx.passes.registry import create
         from postfx.pipeline import Pipeline
@@ -205,7 +208,7 @@ class ExposureCheck:
         for reading in self._report.readings:
             frame = self._sequence.read(reading.number, plan.planes, plan.guides)
             exposure = 2.0**reading.exposure_ev
-            clean = dataclasses.replace(denoise(dataclasses.replace(frame, exposure=exposure)), exposure=exposure)
+            clean = replace(denoise(replace(frame, exposure=exposure)), exposure=exposure)
             for name, pixels in _views(clean, view(clean)[Role.COLOUR], exposure):
                 path = folder / f"{name}.{reading.number:04d}.png"
                 save_png(path, pixels)
