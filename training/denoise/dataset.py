@@ -101,8 +101,13 @@ def grey_exposure(colour: np.ndarray) -> float:
 
 
 def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[str, ...] = ()) -> Clip:
-    """Read one clip file and move it to ``device``, with its guides and further kinds of motion, if asked for."""
+    """Read one clip file and move it to ``device``, with its guides and further kinds of motion, if asked for.
+
+    Raises ValueError if it lacks the guides.
+    """
     data = np.load(path)
+    if guides and "guide_depth" not in data.files:
+        raise ValueError(f"{path}: no planes at output size, which --guides needs")
     variants = sorted({k.split("_", 1)[0] for k in data.files if k.startswith("v") and k[1].isdigit()})
 
     def plane(key: str) -> Tensor:
@@ -187,19 +192,31 @@ class ClipPool:
         self.validation: list[Clip] = []
 
     def refresh(self) -> int:
-        """Load new files; one clip in ``held_out`` is for validation. Returns the number of clips for training."""
+        """Load new files; one clip in ``held_out`` is for validation. Returns the number of clips for training.
+
+        Names clips that lack guides and leaves them out: Cycles renders none.
+        """
         found = [p for folder in self.folders for p in sorted(folder.glob("[!.]*.npz"))]
         mine = [p for p in found if p not in self.seen and self._number(p) % self.shares == self.share]
         self.seen.update(mine)
         with ThreadPoolExecutor(8) as threads:
-            clips = list(threads.map(lambda path: load(path, self.device, self.guides, self.pairs), mine))
+            clips = list(threads.map(self._load, mine))
         for path, clip in zip(mine, clips, strict=True):
+            if clip is None:
+                continue
             if (self._number(path) // self.shares) % self.held_out == 0:
                 self.validation.append(clip)
             else:
                 weighted = replace(clip, weight=self.folders[path.parent])
                 self.training.setdefault(tuple(clip.reference.shape), []).append(weighted)
         return len(self)
+
+    def _load(self, path: Path) -> Clip | None:
+        try:
+            return load(path, self.device, self.guides, self.pairs)
+        except ValueError as fault:
+            print(f"left out: {fault}", flush=True)
+            return None
 
     @staticmethod
     def _number(path: Path) -> int:

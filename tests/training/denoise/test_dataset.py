@@ -17,6 +17,7 @@ from training import ops  # noqa: E402
 from training.datagen.scenes.motion import Camera, look_at  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise.dataset import (  # noqa: E402
+    GUIDES,
     MOTION,
     SURFACE,
     Augment,
@@ -158,6 +159,21 @@ def test_clips_of_a_folder_are_drawn_as_often_as_its_weight_says(tmp_path: Path)
     random.seed(1)
     drawn = pool.draw(4000, 16, 0).reference[:, 0, 0, 0, 0]
     assert float((drawn == 0.25).float().mean()) == pytest.approx(0.75, abs=0.03)
+
+
+def test_clips_without_guides_are_left_out_where_guides_are_needed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_clips(tmp_path, 2)
+    path = tmp_path / "clip0001.npz"
+    clip = dict(np.load(path))
+    size = clip["reference"].shape[:3]
+    np.savez(path, **clip, **{f"guide_{name}": np.zeros((*size, count) if count > 1 else size, np.float16)
+                              for name, count in GUIDES})
+    pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"), guides=True, held_out=10**6)
+    assert pool.refresh() == 1
+    bare = tmp_path / "clip0000.npz"
+    assert capsys.readouterr().out == f"left out: {bare}: no planes at output size, which --guides needs\n"
 
 
 def test_later_turns_play_the_same_windows_the_other_way(tmp_path: Path) -> None:
