@@ -29,7 +29,7 @@ def shifted(picture: np.ndarray, pixels: float) -> np.ndarray:
     return ((1 - part) * moved + part * np.roll(moved, -1, 1))[:, :picture.shape[1] // 2].astype(np.float32)
 
 
-@pytest.mark.parametrize("model", ["m.fp32"])
+@pytest.mark.parametrize("model", ["m.fp32", "s.fp32"])
 def test_a_slow_pan_does_not_get_worse(model: str, shared_dir: Path) -> None:
     """History is moved 120 times by parts of a pixel, by exact vectors. With a bias of distrust that is lower by 1, `m`
     lost 3.5 dB here."""

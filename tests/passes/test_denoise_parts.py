@@ -233,7 +233,8 @@ def test_no_light_lies_where_there_is_no_lamp_and_no_surface_of_its_kind(device:
         found = upscaler(device, parts=parts, part_filters=filters)(frame)
         assert_adds_up(found, ("lamp", "glass", "rest"))
         for name in ("lamp", "glass"):
-            assert found.parts[name][24:36, 24:36].min() > 0
+            inside = found.parts[name][24:36, 24:36]
+            assert inside.min() >= 0 and (inside > 0).mean() > 0.99  # sharpening may reach zero
             found.parts[name][18:42, 18:42] = 0
             assert not found.parts[name].any()
 

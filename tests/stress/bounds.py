@@ -45,5 +45,11 @@ BOUNDS = {
 their layers."""
 
 
+WIDE = 84
+"""Least `reach` of s, whose four levels see 72 render pixels around."""
+
+
 def bounds(device: Device, model: str) -> Bounds:
-    return BOUNDS[device.name, model.rpartition(".")[2]]
+    tag, _, precision = model.rpartition(".")
+    found = BOUNDS[device.name, precision]
+    return found._replace(reach=max(found.reach, WIDE)) if tag == "s" else found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -42,8 +43,12 @@ def test_a_mixture_with_a_network_that_ships(tmp_path: Path) -> None:
         torch.testing.assert_close(values, weights[name] - 0.25)
 
 
-def test_a_network_begins_to_trust_planes_unless_it_predicts_its_trust() -> None:
-    plain, doubting = (models_dir() / f"denoise_upscale.{tag}.onnx" for tag in ("s", "m"))
+def test_a_network_begins_to_trust_planes_unless_it_predicts_its_trust(tmp_path: Path) -> None:
+    doubting, plain = models_dir() / "denoise_upscale.s.onnx", tmp_path / "plain.onnx"
+    shutil.copy(doubting, plain)
+    card = json.loads(doubting.with_suffix(".json").read_text(encoding="utf-8"))
+    del card["config"]["trust"]
+    plain.with_suffix(".json").write_text(json.dumps(card), encoding="utf-8")
     last = slice(-4, None)  # four phases of the last hidden channel
     assert load_weights(plain)["trunk.fine.weight"][last].any()
     begun = load_weights(plain, trust=True)
