@@ -28,7 +28,7 @@ def noisy(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Seque
     def write(count: int = 8, cut: int = 0, motion: float | None = -1.0, without: int = 0, **options) -> Sequence:
         rng = np.random.default_rng(count)
         for number in range(1, count + 1):
-            light = 4.0 if cut and number >= cut else 0.5
+            light = 0.1 if cut and number >= cut else 0.5
             planes = {name: light * rng.exponential(size=SIZE) for name in "RGB"}
             planes |= {f"albedo.{name}": np.full(SIZE, 0.5) for name in "RGB"} | {"depth.Z": np.full(SIZE, 3.0)}
             if motion is not None:
