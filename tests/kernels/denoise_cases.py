@@ -9,6 +9,7 @@ import numpy as np
 
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import BLEND, FINE, GUIDE_PLANES, MEMORY
+from postfx.kernels.denoise.alpha import CORRECT, GATHER
 from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
@@ -21,7 +22,7 @@ from postfx.kernels.denoise.network_io import (
     STORE,
     STORE_RINGED,
 )
-from postfx.kernels.denoise.output import ASSEMBLE, CORRECT, DETAIL, JUDGE, RESTORE, STRENGTH
+from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, means_size
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
@@ -42,7 +43,7 @@ KERNELS = (
     PACK, OPEN, OPEN_FINE, OPEN_PHASED,
     OPEN_PRODUCTS, OPEN_FINE_PRODUCTS, STORE,
     STORE_RINGED,
-    REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, CORRECT, DECODE, DECODE_ONE,
+    REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, GATHER, CORRECT, DECODE, DECODE_ONE,
 )
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)

@@ -9,7 +9,7 @@ import pytest
 
 from postfx.errors import FrameError, PassOptionError
 from postfx.frame import Frame, Part, Role
-from postfx.kernels.denoise.output import CORRECT
+from postfx.kernels.denoise.alpha import CORRECT, GATHER
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.frame import Frames
 from postfx.pipeline import Pipeline
@@ -257,18 +257,57 @@ def test_alpha_is_denoised_where_it_is_noisy_and_left_alone_where_it_is_clean(de
     assert np.array_equal(first, second)  # what lies two frames back is no history
 
 
-def test_means_of_corrected_alpha_come_nearer_to_the_frame_s_own_where_it_has_structure() -> None:
+def gathered(alphas: list[np.ndarray], step: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Means of alpha (h, w) of frames that move by so much, at 4 samples a pixel, and their variance."""
+    (h, w), rates = alphas[0].shape, np.array([1, 1 / 4, 1 / 32, 1 / 16], np.float32)
+    samples, doubt = np.zeros((2 * h, 2 * w, 1), np.float32), np.zeros((h, w, 1), np.float32)
+    moved = np.broadcast_to(-np.float32(step), (h, w, 2)).copy()
+    for i, alpha in enumerate(alphas):
+        part = np.repeat(alpha[..., None], 3, 2).astype(np.float32)
+        last = samples.copy(), doubt.copy(), rates * np.float32([i > 0, 1, 1, 1])
+        GATHER.rows(0, h, part, moved, *last, samples, doubt)
+    return samples[..., 0], doubt[..., 0]
+
+
+def stripe(place: float, size: int, pixels: int) -> np.ndarray:
+    """Coverage of pixels of a row by a stripe 0.5 units wide; `pixels` in each of `size` units."""
+    edges = np.arange(size * pixels + 1) / pixels
+    return np.diff(np.clip(edges, place, place + 0.5)) * pixels
+
+
+def test_means_of_alpha_are_exact_where_nothing_moves_and_begin_anew_where_it_changed() -> None:
+    alphas = list((np.random.default_rng(1).random((8, 16, 20, 4)) < 0.4).mean(-1))
+    samples, doubt = gathered(alphas, (0, 0))
+    exact = np.isclose(samples, np.kron(np.mean(alphas, 0), np.ones((2, 2))), atol=1e-5)
+    assert exact.mean() > 0.9 and np.isclose(doubt, 1 / 32).mean() > 0.9  # chance alone begins anew at a few
+    samples, doubt = gathered([*alphas, np.ones((16, 20))], (0, 0))
+    assert samples.min() == 1 and doubt.min() == 0.25
+
+
+def test_means_of_alpha_know_quarters_of_pixels_where_things_move_by_parts_of_one() -> None:
+    alphas = [np.tile(stripe(4.1 + 0.5 * i, 24, 1), (12, 1)) for i in range(8)]
+    samples, _ = gathered(alphas, (0.5, 0))
+    wanted = stripe(4.1 + 0.5 * 7, 24, 2)
+    blurred = np.repeat(alphas[-1][6], 2)
+    assert np.abs(samples[12] - wanted).sum() < 0.5 * np.abs(blurred - wanted).sum()
+
+
+def test_corrected_alpha_comes_nearer_to_its_samples_where_it_has_structure() -> None:
     random = np.random.default_rng(0)
     filtered = np.repeat(random.uniform(0.3, 0.7, (26, 30, 1)), 3, 2).astype(np.float32)
-    filtered[:14] = 0.5  # flat: what differs there is noise
-    part, motion = np.full((13, 15, 3), 0.45, np.float32), np.zeros((13, 15, 2), np.float32)
-    motion[:, 8:] = 1 / 32
+    filtered[:14] = np.linspace(0.3, 0.5, 30)[:, None]  # a slope: what differs there is noise
+    samples, moved = np.full((26, 30, 1), 0.45, np.float32), np.zeros((13, 15, 2), np.float32)
+    doubt = np.full((13, 15, 1), 0.25, np.float32)
+    doubt[:, 8:] = 0
     found = np.empty((26, 30, 3), np.float32)
-    CORRECT.rows(0, 26, filtered, part, motion, np.array([1, 0.25, 0], np.float32), found)
+    CORRECT.rows(0, 26, filtered, samples, doubt, moved, np.array([0.25, 0.01, 0], np.float32), found)
     means, before = (alpha[..., 0].reshape(13, 2, 15, 2).mean((1, 3)) for alpha in (found, filtered))
-    np.testing.assert_array_equal(found[:12], filtered[:12])
-    np.testing.assert_allclose(means[8:, 8:], 0.45, atol=1e-3)
-    np.testing.assert_allclose(means[8:, :8], before[8:, :8] + 0.25 * (0.45 - before[8:, :8]), atol=1e-3)
+    apart = np.abs(means - 0.45) / np.abs(before - 0.45)
+    np.testing.assert_allclose(found[:11, 2:-2], filtered[:11, 2:-2], atol=0.02)
+    assert np.median(apart[9:12, 9:]) < np.median(apart[9:12, :7]) < 0.95
+    sharper = np.empty((26, 30, 3), np.float32)
+    CORRECT.rows(0, 26, filtered, samples, doubt, moved, np.array([0, 0, 0.5], np.float32), sharper)
+    assert sharper[18:].std() > 1.2 * filtered[18:].std()
 
 
 def test_alpha_of_many_samples_is_nearly_the_frame_s_own_but_not_if_it_is_jittered(device: Device) -> None:

@@ -14,6 +14,7 @@ import torch
 from torch import nn
 
 from postfx.kernels.denoise import FINE, GUIDES, HIDDEN, KERNEL, PHASES
+from postfx.kernels.denoise.alpha import CORRECT, GATHER
 from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
@@ -26,7 +27,7 @@ from postfx.kernels.denoise.network_io import (
     STORE,
     STORE_RINGED,
 )
-from postfx.kernels.denoise.output import ASSEMBLE, CORRECT, DETAIL, JUDGE, RESTORE, STRENGTH
+from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
@@ -83,6 +84,7 @@ KERNELS = {
     ACCUMULATE_PART: extras.AccumulatePart,
     UPSAMPLE_LIGHT: extras.UpsampleLight,
     BALANCE: extras.Balance,
+    GATHER: extras.Gather,
     CORRECT: extras.Correct,
     DECODE: extras.Decode,
     DECODE_ONE: extras.DecodeOne,

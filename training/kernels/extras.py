@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from postfx.kernels.denoise import MOST_MOTION
+from postfx.kernels.denoise import alpha as means
 from postfx.kernels.denoise import history as layout
 from postfx.kernels.denoise.history import SPREAD
 from postfx.kernels.denoise.output import (
@@ -368,22 +369,68 @@ class Balance(nn.Module):
         return (parts + dark) * (picture / light)
 
 
-class Correct(nn.Module):
-    """filtered (H, W, 3), part (h, w, 3), motion (h, w, 2), gain (3,) -> corrected (H, W, 3)."""
+class Gather(nn.Module):
+    """part (h, w, 3), moved (h, w, 2), samples (2 h, 2 w, 1), doubt (h, w, 1), rates (4,)
+    -> next_samples (2 h, 2 w, 1), next_doubt (h, w, 1)."""
 
-    def forward(self, filtered: Tensor, values: Tensor, motion: Tensor, gain: Tensor) -> Tensor:
-        rows, columns = (_shares_within(size, out) for size, out in
-                         zip(values.shape[:2], filtered.shape[:2], strict=True))
-        mean = rows @ filtered[..., 0] @ columns.T
-        around = F.pad(mean[None], (1, 1, 1, 1), mode="replicate")[0].unfold(0, 3, 1).unfold(1, 3, 1).flatten(2)
-        middle = around.mean(-1)
-        structure = (around.square().mean(-1) - middle.square()).clamp(min=0)
-        noise = gain[2] * (middle * (1 - middle)).clamp(min=0)
-        still = (motion.abs() < 1 / 64).all(-1)
-        share = torch.where(still, gain[1], gain[0]) * structure / (structure + noise + 1e-6)
-        lack = share * (ops.sanitise(values[..., 0], 0, 1) - mean)
-        found = filtered[..., 0] + (rows > 0).to(lack.dtype).T @ lack @ (columns > 0).to(lack.dtype)
+    def forward(self, values: Tensor, moved: Tensor, samples: Tensor, doubt: Tensor,
+                rates: Tensor) -> tuple[Tensor, Tensor]:
+        keep, variance, drift, least = rates.unbind()
+        own, motion = ops.sanitise(values[..., 0], 0, 1), to_image(moved)
+        held = (ops.inside(motion)[0, 0] > 0) & (keep > 0)
+        before = ops.warp(to_image(samples), ops.enlarge_motion(motion, *samples.shape[:2]), "bicubic")[0, 0]
+        predicted = before.unflatten(1, (-1, 2)).unflatten(0, (-1, 2)).permute(1, 3, 0, 2).flatten(0, 1)
+        x, y = ((place[0] + 0.5).floor() for place in ops.positions(motion))
+        at = y.clamp(0, moved.shape[0] - 1).long() * moved.shape[1] + x.clamp(0, moved.shape[1] - 1).long()
+        known = doubt.flatten()[at] + torch.where(_moves(moved), drift, 0)
+        off = torch.where(held, own - predicted.mean(0), 0)
+        apart, level = _around(off).mean(-1), _around(own - off / 2).mean(-1).clamp(0, 1)
+        chance = level * (1 - level) * (variance + known.clamp(max=1)) / 9
+        lost = ~held | (apart.square() > float(means.LIMIT_OFF) * chance + float(means.LEAST_OFF))
+        share = torch.maximum(known / (known + variance), least)
+        found = torch.where(lost, own, (predicted + off * share).clamp(0, 1)).unflatten(0, (2, 2))
+        left = torch.where(lost, variance, torch.minimum((1 - share) * known, variance))
+        return found.permute(2, 0, 3, 1).flatten(2, 3).flatten(0, 1)[..., None], left[..., None]
+
+
+class Correct(nn.Module):
+    """filtered (H, W, 3), next_samples (2 h, 2 w, 1), next_doubt (h, w, 1), moved (h, w, 2), gain (3,)
+    -> corrected (H, W, 3)."""
+
+    def forward(self, filtered: Tensor, samples: Tensor, doubt: Tensor, moved: Tensor, gain: Tensor) -> Tensor:
+        value, size, out = filtered[..., 0], doubt.shape[:2], filtered.shape[:2]
+        rows, columns = (_shares_within(one, other) for one, other in zip(size, out, strict=True))
+        around = _around(rows @ value @ columns.T)
+        mean = around.mean(-1)
+        steps = torch.tensor([-1.0, 0.0, 1.0], dtype=mean.dtype)
+        across, down = ((around * by).sum(-1) / 6 for by in (steps.repeat(3), steps.repeat_interleave(3)))
+        sloped = float((1 - means.SLOPED) * means.PLANE) * (across.square() + down.square())
+        found = (around.square().mean(-1) - mean.square() - sloped).clamp(min=0)
+        structure = found / (found + gain[1] * (mean * (1 - mean)).clamp(min=0) + float(means.FAINTEST))
+        weight = structure * gain[0] / (gain[0] + doubt[..., 0] + float(means.FAINTEST))
+        lack = F.avg_pool2d(samples[None, None, ..., 0], 2)[0, 0] - around[..., 4]
+        upper, lower = (_shares_between(one, other).to(mean.dtype) for one, other in zip(size, out, strict=True))
+        high, low = (_shares_between(one, other).to(mean.dtype)
+                     for one, other in zip(samples.shape[:2], out, strict=True))
+        inside = high.T @ samples[..., 0] @ low - value
+
+        def own(plane: Tensor) -> Tensor:
+            return (rows > 0).to(mean.dtype).T @ plane @ (columns > 0).to(mean.dtype)
+
+        moves = own(_moves(moved).to(mean.dtype)) * own(weight) * (inside - own(lack))
+        line = torch.tensor([float(means.SIDE), float(means.MIDDLE), float(means.SIDE)], dtype=mean.dtype)
+        soft = (_around(value) * torch.outer(line, line).flatten()).sum(-1)
+        found = value + upper.T @ (weight * lack) @ lower + moves + gain[2] * own(structure) * (value - soft)
         return ops.sanitise(found, 0, 1)[..., None].expand(-1, -1, 3)
+
+
+def _around(plane: Tensor) -> Tensor:
+    """3x3 pixels around each of a plane (h, w), edge repeated: (h, w, 9)."""
+    return F.pad(plane[None], (1, 1, 1, 1), mode="replicate")[0].unfold(0, 3, 1).unfold(1, 3, 1).flatten(2)
+
+
+def _moves(moved: Tensor) -> Tensor:
+    return (moved.abs() >= float(means.LEAST_MOTION)).any(-1)
 
 
 def _shares_within(size: Tensor, out: Tensor) -> Tensor:
@@ -391,6 +438,12 @@ def _shares_within(size: Tensor, out: Tensor) -> Tensor:
     at = (2 * torch.arange(out) + 1) * size // (2 * out)
     found = (torch.arange(size)[:, None] == at).to(torch.float32)
     return found / found.sum(1, keepdim=True)
+
+
+def _shares_between(size: Tensor, out: Tensor) -> Tensor:
+    """Weights (size, out) by which pixels are interpolated at other ones, edge repeated."""
+    at = ((2 * torch.arange(out) + 1) * size / (2 * out) - 0.5).clamp(0, size - 1)
+    return (1 - (torch.arange(size)[:, None] - at).abs()).clamp(min=0)
 
 
 class Decode(nn.Module):

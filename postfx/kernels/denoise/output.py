@@ -1,5 +1,4 @@
-"""Kernels that make the output: lost detail restored, tiles assembled into the frame, a blend by strength, and alpha
-corrected.
+"""Kernels that make the output: lost detail restored, tiles assembled into the frame, and a blend by strength.
 
 Detail: the removed part, input minus result, looks alike everywhere if it was noise, and has structure if it was
 detail. So the kernels judge tiles of the picture: by correlations of the difference between near pixels, less those of
@@ -11,8 +10,6 @@ Tiles: each row of ``places`` (n, 10) describes one of ``tiles`` (n, th, tw, cha
 its first pixel (2), the area that may be used (4), and the area to use before all other tiles (4); areas are top, left,
 bottom, right, the last two exclusive. The first of several tiles counts. ``frame_rows`` and ``frame_columns`` are the
 rows and columns of the frame to write; pixels of no tile become 0.
-
-Alpha: where the filtered one has structure, its means over render pixels come nearer to the frame's own.
 """
 
 from __future__ import annotations
@@ -22,7 +19,7 @@ import math
 import numpy as np
 
 from postfx.kernels.denoise import EXPOSURE, MAX_COLOUR, MAX_FLOAT, PLANES, kernel
-from postfx.kernels.numeric import Real, add_product, centre, clamp, compiled, inline, vectorised
+from postfx.kernels.numeric import Real, add_product, clamp, compiled, inline, vectorised
 
 # Detail
 
@@ -254,7 +251,6 @@ ASSEMBLE = kernel("assemble", ("tiles", "places", "frame_rows", "frame_columns")
                   frame_rows=("rows",), frame_columns=("columns",), picture=("rows", "columns", "channels"))
 
 
-ZERO, ONE = np.float32(0), np.float32(1)
 
 
 @compiled
@@ -273,79 +269,3 @@ def strength_rows(y0: int, y1: int, denoised: np.ndarray, plain: np.ndarray, str
 IMAGE = ("height", "width", 3)
 STRENGTH = kernel("strength", ("denoised", "plain", "strength", "amount"), ("output",), strength_rows, ("output", 0),
                   denoised=IMAGE, plain=IMAGE, output=IMAGE, strength=("height", "width", 1), amount=(1,))
-
-
-# Alpha
-
-MOVING, STILL, NOISE = range(3)
-"""Of ``gain``: how much of what alpha lacks it gets in a frame, where things move and where not, and the variance of a
-pixel's samples over alpha (1 - alpha)."""
-LEAST_MOTION, LEAST_STRUCTURE = np.float32(1 / 64), np.float32(1e-6)
-"""Render pixels that count as motion, and the smallest variance that is structure."""
-
-
-@inline
-def first_within(at: int, size: int, out: int) -> int:
-    """The first of ``out`` pixels whose centre lies in pixel ``at`` of ``size``."""
-    return (2 * out * at + size - 1) // (2 * size)
-
-
-@compiled
-def mean_within(filtered: np.ndarray, at: int, h: int, mean: np.ndarray) -> None:
-    """Mean of the output's pixels in each render pixel of a row."""
-    (height, width), w = filtered.shape[:2], mean.size
-    top, bottom = first_within(at, h, height), first_within(at + 1, h, height)
-    for x in range(w):
-        left, right = first_within(x, w, width), first_within(x + 1, w, width)
-        total = ZERO
-        for row in range(top, bottom):
-            for column in range(left, right):
-                total += filtered[row, column, 0]
-        mean[x] = total / np.float32((bottom - top) * (right - left))
-
-
-@compiled
-def lacking_row(at: int, part: np.ndarray, motion: np.ndarray, means: np.ndarray, gain: np.ndarray,
-                lack: np.ndarray) -> None:
-    """What a row of alpha lacks, as far as its structure is more than the samples' noise; ``means`` are those of three
-    rows around ``at``, the middle one at ``at % 3``."""
-    w = lack.size
-    for x in range(w):
-        mean, square = ZERO, ZERO
-        for i in range(-1, 2):
-            column = min(max(x + i, 0), w - 1)
-            for j in range(3):
-                mean += means[j, column]
-                square += means[j, column] * means[j, column]
-        mean /= np.float32(9)
-        structure = max(square / np.float32(9) - mean * mean, ZERO)
-        noise = gain[NOISE] * max(mean * (ONE - mean), ZERO)
-        still = abs(motion[at, x, 0]) < LEAST_MOTION and abs(motion[at, x, 1]) < LEAST_MOTION
-        share = gain[STILL if still else MOVING] * structure / (structure + noise + LEAST_STRUCTURE)
-        lack[x] = share * (clamp(part[at, x, 0], ZERO, ONE) - means[at % 3, x])
-
-
-@compiled
-def correct_rows(y0: int, y1: int, filtered: np.ndarray, part: np.ndarray, motion: np.ndarray, gain: np.ndarray,
-                 corrected: np.ndarray) -> None:
-    """Alpha, three times, whose means over render pixels are nearer to the frame's own alpha ``part``."""
-    (h, w), (height, width) = part.shape[:2], corrected.shape[:2]
-    means, lack = np.empty((3, w), np.float32), np.empty(w, np.float32)
-    held, last = np.full(3, -1, np.int64), -1
-    for y in range(y0, y1):
-        at, _ = centre(y, h, height)
-        if at != last:
-            for row in range(at - 1, at + 2):
-                within = min(max(row, 0), h - 1)
-                if held[(row + 3) % 3] != within:
-                    mean_within(filtered, within, h, means[(row + 3) % 3])
-                    held[(row + 3) % 3] = within
-            lacking_row(at, part, motion, means, gain, lack)
-            last = at
-        for x in range(width):
-            value = filtered[y, x, 0] + lack[centre(x, w, width)[0]]
-            corrected[y, x, 0] = corrected[y, x, 1] = corrected[y, x, 2] = clamp(value, ZERO, ONE)
-
-
-CORRECT = kernel("correct", ("filtered", "part", "motion", "gain"), ("corrected",), correct_rows, ("corrected", 0),
-                 filtered=IMAGE, part=("h", "w", 3), gain=(3,), corrected=IMAGE)

@@ -155,6 +155,10 @@ def make_zeros(device: Device, name: str, shape: tuple[int, ...]) -> Tensor:
 
 WHOLE = "whole picture"
 """Name of a layer: the picture filtered like its parts, beside parts that are not all of it."""
+ALPHA_LAYER = "alpha of the picture"
+"""Name of the layer of alpha, beside those of parts."""
+ALPHA_CHANNELS = {"samples": 4, "doubt": 1}
+"""What alpha leaves beside: means of its samples by quarter-pixels, and their variance."""
 FACTOR = "factor"
 """Kind of a plane that is only brought to the output's size."""
 
@@ -164,14 +168,17 @@ class LayerHistory:
 
     Attributes:
         frames: how many frames the layer ran in since it last had no history; 0 if the last one left nothing.
+        resized: whether the frame before had another size: then only the output and accumulated values go on.
     """
 
-    def __init__(self, device: Device, name: str, output: Size, outputs: Sequence[Tensor] = ()) -> None:
-        self._device = device
+    def __init__(self, device: Device, name: str, output: Size, outputs: Sequence[Tensor] = (),
+                 channels: Mapping[str, int] = MappingProxyType({})) -> None:
+        """`channels`: further tensors of render size that a frame leaves to the next."""
+        self._device, self._channels = device, {"last_part": 3, **channels}
         self._outputs = list(outputs) or [make_zeros(device, f"last {name}", (*output, 3)) for _ in range(2)]
         self._rooms: list[Room] = []
         self._size: Shape = (0, 0)
-        self.frames = 0
+        self.frames, self.resized = 0, False
 
     def turn(self, commands: CommandBuffer, size: Shape, keep: bool) -> bool:
         """Begin a frame of a render size; returns whether the layer has a history in it."""
@@ -180,12 +187,12 @@ class LayerHistory:
         self._outputs.reverse()
         self._rooms.reverse()
         before, old = self._rooms[0].of(self._size) if self._rooms else {}, self._size
-        self._size = size
+        self._size, self.resized = size, size != old
         if not self._rooms or size[0] * size[1] > self._rooms[0].pixels:
-            self._rooms = [Room(self._device, size[0] * size[1], {"last_part": 3}) for _ in range(2)]
-        elif size != old:
+            self._rooms = self._make_rooms()
+        elif self.resized:
             self._rooms.reverse()
-        if keep and before and size != old:
+        if keep and before and self.resized:
             self._resize(commands, before["last_part"])
         return keep
 
@@ -210,25 +217,28 @@ class LayerHistory:
         return {"history": self._outputs[0], **self._rooms[0].of(self._size)}
 
     @property
-    def next(self) -> tuple[Tensor, Tensor]:
-        """The tensors for this frame's output and accumulated values."""
-        return self._outputs[1], self._rooms[1].of(self._size)["last_part"]
+    def next(self) -> dict[str, Tensor]:
+        """The tensors that this frame leaves, by the same names."""
+        return {"history": self._outputs[1], **self._rooms[1].of(self._size)}
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Between two frames: the values that the last one left; empty if it left none."""
         if not self.frames or not self._rooms:
             return {}
-        output, part = self.next
-        return {"output": output.content(), "part": part.content(), "frames": np.array(self.frames, np.int64)}
+        return {name: tensor.content() for name, tensor in self.next.items()} | {
+            "frames": np.array(self.frames, np.int64)}
 
     def recall(self, kept: Mapping[str, np.ndarray]) -> None:
         """Between two frames: replace the values that the last one left by those `kept`."""
         self.frames = int(kept["frames"]) if kept else 0
         if self.frames:
-            self._size = kept["part"].shape[0], kept["part"].shape[1]
-            self._rooms = [Room(self._device, self._size[0] * self._size[1], {"last_part": 3}) for _ in range(2)]
-            for tensor, name in zip(self.next, ("output", "part"), strict=True):
+            self._size = kept["last_part"].shape[0], kept["last_part"].shape[1]
+            self._rooms = self._make_rooms()
+            for name, tensor in self.next.items():
                 tensor.upload(kept[name])
+
+    def _make_rooms(self) -> list[Room]:
+        return [Room(self._device, self._size[0] * self._size[1], self._channels) for _ in range(2)]
 
     def _resize(self, commands: CommandBuffer, before: Tensor) -> None:
         rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
@@ -271,7 +281,8 @@ class PartHistory:
     def layer(self, name: str) -> LayerHistory:
         """The history of a layer, made when it is first asked for."""
         if name not in self.layers:
-            self.layers[name] = LayerHistory(self._device, name, self._output)
+            further = ALPHA_CHANNELS if name == ALPHA_LAYER else {}
+            self.layers[name] = LayerHistory(self._device, name, self._output, channels=further)
         return self.layers[name]
 
     def turn(self) -> None:

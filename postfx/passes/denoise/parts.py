@@ -10,18 +10,25 @@ import numpy as np
 from postfx.errors import FrameError
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
-from postfx.kernels.denoise.output import CORRECT
 from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
 from postfx.passes import ResidentFrame
-from postfx.passes.denoise.history import FACTOR, WHOLE, PartHistory, alone, make_zeros, one_of, places_of, some_of
+from postfx.passes.denoise.history import (
+    ALPHA_LAYER,
+    FACTOR,
+    WHOLE,
+    PartHistory,
+    alone,
+    make_zeros,
+    one_of,
+    places_of,
+    some_of,
+)
 from postfx.passes.denoise.layers import Layer
 from postfx.passes.denoise.options import Size
-from postfx.passes.denoise.planes import ABSENT, Resampler, Restore, Strength, absent_plane
+from postfx.passes.denoise.planes import ABSENT, Alpha, Resampler, Restore, Strength, absent_plane
 from postfx.passes.denoise.tiling import Rows
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
-ALPHA_LAYER = "alpha of the picture"
-"""Name of the layer of alpha, beside those of parts."""
 NEAR = 2e-3
 """Parts are all of the picture if their sum differs by less than this share of its light."""
 STEP = 8
@@ -31,9 +38,6 @@ REACH = 1
 LARGEST = float(np.finfo(np.float32).max)
 BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "mist": (0.0, 1.0)}
 """Bounds of the values of planes by kind; other kinds begin at 0 and have no upper bound."""
-FEW, SETTLED, RANDOM, LONGEST = 4, 16, 0.125, 16
-"""Samples a pixel of files that do not say; those with which alpha is half its own and half the filtered one; noise in
-units of a sample's that structure is compared with; and the frames over which still alpha is averaged."""
 DEPTH = "depth"
 """Kind of a plane of distances: their reciprocals are filtered, and separately which pixels have a distance."""
 FARTHEST = 1e9
@@ -104,7 +108,7 @@ class Layers:
         self._identity.upload([1.0, 0.0, -LARGEST, LARGEST, 0.0])
         self._runs: list[str] = []
         self._raw: dict[str, Tensor] = {}
-        self._correction = self._make_correction() if alpha else None
+        self._alpha = Alpha(device, spec, output) if alpha else None
 
     def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor], params: np.ndarray,
               keep: bool) -> tuple[list[Layer], dict[str, Tensor]]:
@@ -125,17 +129,14 @@ class Layers:
                 history.follow()
                 continue
             fresh = history.turn(commands, self._render, keep)
-            output, part = history.next
+            output, part = history.output, history.next["last_part"]
             tensors = {"params": self._exposed if name == WHOLE else self._params}
             if name != WHOLE:
                 tensors |= {"last_part": history.last["last_part"], **self._inputs(name, frame, planes)}
                 targets[f"next_part {name}"] = part
             last, stack, place = alone(history.last["history"]), alone(output), self._places.get(name, 0)
-            if name == ALPHA_LAYER and self._correction:
-                stack = alone(self._between("blended alpha", 3))
-                self._correction["part"], self._correction["motion"] = self._raw[name], planes[Role.MOTION]
-                self._correction["corrected"] = output
-                self._gain.upload(_gain_of(frame, history.frames))
+            if name == ALPHA_LAYER and self._alpha:
+                self._alpha.gather(commands, frame, planes, self._raw[name], history, fresh)
             elif name in self._places:
                 last, stack = self._history.stacks
             if self._is_light(name):
@@ -186,10 +187,8 @@ class Layers:
             if name == WHOLE:
                 continue
             value = self._history.layer(name).output
-            if name == ALPHA_LAYER and self._correction:
-                with commands.compute_encoder("correct") as encoder:
-                    encoder.barrier(after="compute", before="compute")
-                    encoder.dispatch(self._correction.state, self._correction)
+            if name == ALPHA_LAYER and self._alpha:
+                value = self._alpha.correct(commands, value)
             elif not self._is_light(name) and self._kind(name) != DEPTH:
                 value = self._decoded(commands, name, value)
             if restore and restoring and self._kind(name) not in SIGNED:
@@ -324,12 +323,6 @@ class Layers:
             encoder.barrier(after="compute", before="compute")
             encoder.dispatch(table.state, table)
 
-    def _make_correction(self) -> ArgumentTable:
-        """The kernel by which alpha gets some of what it lacks at each render pixel; the next frame gets it, too."""
-        self._gain = self._device.heap.tensor("gain of alpha", (3,))
-        tensors = {"filtered": self._between("blended alpha", 3), "gain": self._gain}
-        return ArgumentTable(self._device.compute_state(CORRECT), tensors)
-
     def _stack(self, name: str) -> Tensor:
         """Pictures of the whole and of all light within a frame, in the places that they have in the history."""
         if name not in self._made:
@@ -447,16 +440,6 @@ def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
     inverse = np.zeros_like(depth)
     inverse[there] = 1 / distances
     return np.stack([inverse, there, there], axis=-1, dtype=np.float32), [sign, nothing, near, far, -1.0]
-
-
-def _gain_of(frame: ResidentFrame, frames: int) -> list[float]:
-    """How much of what alpha lacks it gets: in a mean of `frames`, this one among them, where nothing moves. Jittered
-    alpha does not lie where the pixels do, and lacks nothing."""
-    if frame.jitter != (0.0, 0.0):
-        return [0.0, 0.0, 1.0]
-    samples = frame.samples or FEW
-    moving, still = (1 / (count + SETTLED / samples) for count in (1, frames))
-    return [moving, max(still, 1 / LONGEST), RANDOM / samples]
 
 
 def _is_noisy(frame: ResidentFrame) -> bool:

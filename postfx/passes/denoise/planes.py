@@ -1,5 +1,6 @@
 """Planes of a frame beside the network: stand-ins for those that it lacks, planes that are only resampled, and the
-reactive mask; at the end the detail that the colour gets back, and its blend with the input by strength.
+reactive mask; at the end the detail that the colour gets back, what alpha gets of its samples, and the blend with
+the input by strength.
 """
 
 from __future__ import annotations
@@ -10,10 +11,13 @@ import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
 from postfx.kernels import Kernel
+from postfx.kernels.denoise.alpha import CORRECT, GATHER
 from postfx.kernels.denoise.history import REACTIVE
 from postfx.kernels.denoise.output import DETAIL, JUDGE, RESTORE, STRENGTH, SUMS, TILE
+from postfx.kernels.denoise.prepare import DILATE
 from postfx.kernels.image import ENLARGE, RESAMPLE, positions
 from postfx.passes import ResidentFrame
+from postfx.passes.denoise.history import LayerHistory
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.tiling import Rows, rows_of
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
@@ -254,6 +258,61 @@ class Restore:
     def _table(self, device: Device, kernel: Kernel) -> ArgumentTable:
         names = kernel.reads + kernel.writes
         return ArgumentTable(device.compute_state(kernel), {k: v for k, v in self._tensors.items() if k in names})
+
+
+FEW_SAMPLES, DRIFT, SETTLED, LONGEST, RANDOM, SHARPER = 4, 1 / 32, 12, 16, 1 / 48, 0.5
+"""Samples a pixel of files that do not say. Variance, in units of a sample's, that a move adds to a mean of alpha; as
+how many samples filtered alpha counts; frames over which still alpha is averaged; variance in a sample's units that
+structure is compared with; and how much sharper alpha is made that is twice as large."""
+
+
+class Alpha:
+    """Brings filtered alpha nearer to a mean of its samples over the frames, which knows the quarters of a pixel where
+    things move by parts of one."""
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
+        self._scale = min(max(output.width / spec.width - 1, 0.0), 1.0)
+        new, between = device.heap.tensor, device.heap.transient
+        self._rates, self._gain = new("rates of alpha", (4,)), new("gain of alpha", (3,))
+        rows, columns = (device.wrap(name, np.arange(size, dtype=np.float32)) for name, size in
+                         (("alpha rows", spec.height), ("alpha columns", spec.width)))
+        moved, self._output = between("motion of alpha", (spec.height, spec.width, 2)), between("alpha", (*output, 3))
+        self._dilate = ArgumentTable(device.compute_state(DILATE), {
+            "part_rows": rows, "part_columns": columns, "moved": moved})
+        self._gather = ArgumentTable(device.compute_state(GATHER), {"moved": moved, "rates": self._rates})
+        self._correct = ArgumentTable(device.compute_state(CORRECT), {
+            "moved": moved, "gain": self._gain, "corrected": self._output})
+
+    def gather(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor], alpha: Tensor,
+               history: LayerHistory, keep: bool) -> None:
+        """Record the work that adds a frame's own alpha (h, w, 3) to the mean. Jittered alpha does not lie where the
+        pixels do, and counts for nothing."""
+        samples, jittered = frame.samples or FEW_SAMPLES, frame.jitter != (0.0, 0.0)
+        self._rates.upload([float(keep and not history.resized and not jittered), 1 / samples, DRIFT, 1 / LONGEST])
+        self._gain.upload([0.0 if jittered else 1 / SETTLED, RANDOM / samples,
+                           0.0 if jittered else SHARPER * self._scale])
+        self._dilate["motion"], self._dilate["depth"] = planes[Role.MOTION], planes[Role.DEPTH]
+        self._gather["part"] = alpha
+        for name, tensors in (("", history.last), ("next_", history.next)):
+            quarters = tensors["samples"]
+            self._gather[f"{name}doubt"] = tensors["doubt"]
+            self._gather[f"{name}samples"] = quarters.view(
+                quarters.name, (2 * quarters.shape[0], 2 * quarters.shape[1], 1))
+        for name in ("next_samples", "next_doubt"):
+            self._correct[name] = self._gather[name]
+        with commands.compute_encoder("gather alpha") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            encoder.dispatch(self._dilate.state, self._dilate)
+            encoder.barrier()
+            encoder.dispatch(self._gather.state, self._gather)
+
+    def correct(self, commands: CommandBuffer, filtered: Tensor) -> Tensor:
+        """Record the work on filtered alpha; returns it, three times."""
+        self._correct["filtered"] = filtered
+        with commands.compute_encoder("correct alpha") as encoder:
+            encoder.barrier(after="compute", before="compute")
+            encoder.dispatch(self._correct.state, self._correct)
+        return self._output
 
 
 class Plain:

@@ -1,0 +1,176 @@
+// Means of alpha by quarter-pixels over all frames, and their variance: part (h, w, 3), moved (h, w, 2), samples
+// (2 h, 2 w, 1), doubt (h, w, 1), rates (4,): whether there is a past, variance of a frame's alpha, what a move adds,
+// least share of a frame -> next_samples (2 h, 2 w, 1), next_doubt (h, w, 1).
+struct Predicted {
+    float quarters[4], own, off, variance;
+};
+
+__device__ inline bool moves_at(const View& moved, size_t pixel) {
+    const Pair by = pair(moved, pixel);
+    return fabsf(by.x) >= LEAST_MOTION || fabsf(by.y) >= LEAST_MOTION;
+}
+
+__device__ inline Predicted predicted_at(const View& part, const View& moved, const View& samples, const View& doubt,
+                                         const View& rates, int y, int x) {
+    const int h = part.size[0], w = part.size[1], height = samples.size[0], width = samples.size[1];
+    const size_t pixel = size_t(y) * w + x;
+    const Pair by = pair(moved, pixel);
+    const float at_x = float(x) + by.x, at_y = float(y) + by.y;
+    Predicted found;
+    found.own = clamped(part.at[3 * pixel], 0.0f, 1.0f);
+    if (!(rates.at[KEEP] > 0.0f && -0.5f <= at_x && at_x <= w - 0.5f && -0.5f <= at_y && at_y <= h - 0.5f)) {
+        for (int i = 0; i < 4; i++) found.quarters[i] = found.own;
+        found.off = 0.0f;
+        found.variance = -1.0f;
+        return found;
+    }
+    const int near_x = within(int(floorf(at_x + 0.5f)), w), near_y = within(int(floorf(at_y + 0.5f)), h);
+    found.variance = doubt.at[size_t(near_y) * w + near_x] + (moves_at(moved, pixel) ? rates.at[DRIFT] : 0.0f);
+    const float right = by.x + by.x, down = by.y + by.y, whole_right = floorf(right), whole_down = floorf(down);
+    const Four wx = cubic_weights(right - whole_right), wy = cubic_weights(down - whole_down);
+    const int left = 2 * x + int(whole_right) - 1, top = 2 * y + int(whole_down) - 1;
+    const float upper[5] = {wy.x, wy.y, wy.z, wy.w, 0.0f}, lower[5] = {0.0f, wy.x, wy.y, wy.z, wy.w};
+    for (int i = 0; i < 4; i++) found.quarters[i] = 0.0f;
+    for (int j = 0; j < 5; j++) {
+        const float* const line = samples.at + size_t(within(top + j, height)) * width;
+        float value[5];
+        for (int i = 0; i < 5; i++) value[i] = line[within(left + i, width)];
+        const float first = value[0] * wx.x + value[1] * wx.y + value[2] * wx.z + value[3] * wx.w;
+        const float second = value[1] * wx.x + value[2] * wx.y + value[3] * wx.z + value[4] * wx.w;
+        found.quarters[0] += first * upper[j];
+        found.quarters[1] += second * upper[j];
+        found.quarters[2] += first * lower[j];
+        found.quarters[3] += second * lower[j];
+    }
+    found.off = found.own - (found.quarters[0] + found.quarters[1] + found.quarters[2] + found.quarters[3]) * 0.25f;
+    return found;
+}
+
+extern "C" __global__ void denoise_gather(View part, View moved, View samples, View doubt, View rates,
+                                          View next_samples, View next_doubt) {
+    const int h = part.size[0], w = part.size[1];
+    PIXEL(w, h);
+    Predicted here;
+    float apart = 0.0f, level = 0.0f;
+    for (int j = -1; j <= 1; j++) {
+        for (int i = -1; i <= 1; i++) {
+            const Predicted found = predicted_at(part, moved, samples, doubt, rates, within(y + j, h), within(x + i, w));
+            apart += found.off;
+            level += found.own - 0.5f * found.off;
+            if (i == 0 && j == 0) here = found;
+        }
+    }
+    apart /= 9.0f;
+    level = clamped(level / 9.0f, 0.0f, 1.0f);
+    const float chance = level * (1.0f - level) * (rates.at[VARIANCE] + fminf(here.variance, 1.0f)) / 9.0f;
+    const bool lost = here.variance < 0.0f || apart * apart > LIMIT_OFF * chance + LEAST_OFF;
+    const float share = fmaxf(here.variance / (here.variance + rates.at[VARIANCE]), rates.at[LEAST]);
+    for (int i = 0; i < 4; i++) {
+        const float value = clamped(here.quarters[i] + here.off * share, 0.0f, 1.0f);
+        next_samples.at[size_t(2 * y + i / 2) * next_samples.size[1] + 2 * x + i % 2] = lost ? here.own : value;
+    }
+    const float left = fminf((1.0f - share) * here.variance, rates.at[VARIANCE]);
+    next_doubt.at[size_t(y) * w + x] = lost ? rates.at[VARIANCE] : left;
+}
+
+// Alpha, three times, sharper and nearer to the mean of its samples: filtered (H, W, 3), next_samples (2 h, 2 w, 1),
+// next_doubt (h, w, 1), moved (h, w, 2), gain (3,): variance of filtered alpha, noise of its structure, sharpening
+// -> corrected (H, W, 3).
+__device__ inline int first_within(int at, int size, int out) {
+    return int((2 * size_t(out) * at + size - 1) / (2 * size_t(size)));
+}
+
+__device__ inline float mean_within(const View& filtered, int at_y, int at_x, int h, int w) {
+    const int top = first_within(at_y, h, filtered.size[0]), bottom = first_within(at_y + 1, h, filtered.size[0]);
+    const int left = first_within(at_x, w, filtered.size[1]), right = first_within(at_x + 1, w, filtered.size[1]);
+    float total = 0.0f;
+    for (int y = top; y < bottom; y++)
+        for (int x = left; x < right; x++) total += filtered.at[3 * (size_t(y) * filtered.size[1] + x)];
+    return total / float((bottom - top) * (right - left));
+}
+
+struct Lacking {
+    float structure, weight, lack;
+};
+
+__device__ inline Lacking lacking_at(const View& filtered, const View& samples, const View& doubt, const View& gain,
+                                     int at_y, int at_x) {
+    const int h = doubt.size[0], w = doubt.size[1];
+    float mean = 0.0f, square = 0.0f, across = 0.0f, down = 0.0f, here = 0.0f;
+    for (int i = -1; i <= 1; i++) {
+        for (int j = -1; j <= 1; j++) {
+            const float found = mean_within(filtered, within(at_y + j, h), within(at_x + i, w), h, w);
+            mean += found;
+            square += found * found;
+            across += i * found;
+            down += j * found;
+            if (i == 0 && j == 0) here = found;
+        }
+    }
+    mean /= 9.0f;
+    across /= 6.0f;
+    down /= 6.0f;
+    const float sloped = (1.0f - SLOPED) * PLANE * (across * across + down * down);
+    const float found = fmaxf(square / 9.0f - mean * mean - sloped, 0.0f);
+    const float structure = found / (found + gain.at[NOISE] * fmaxf(mean * (1.0f - mean), 0.0f) + FAINTEST);
+    const float weight = structure * gain.at[EXACT] / (gain.at[EXACT] + doubt.at[size_t(at_y) * w + at_x] + FAINTEST);
+    const float* const upper = samples.at + 4 * size_t(at_y) * w + 2 * at_x;
+    return {structure, weight, (upper[0] + upper[1] + upper[2 * w] + upper[2 * w + 1]) * 0.25f - here};
+}
+
+// The two of `size` pixels between whose centres one of `out` pixels has its own, and the second one's share.
+struct Beside {
+    int first, second;
+    float share;
+};
+
+__device__ inline Beside beside(int position, int size, int out) {
+    float offset;
+    const int at = centre(position, size, out, offset), first = offset < 0.0f ? at - 1 : at;
+    return {max(first, 0), min(first + 1, size - 1), offset < 0.0f ? offset + 1.0f : offset};
+}
+
+__device__ inline float mixed(float upper_left, float upper_right, float lower_left, float lower_right, float across,
+                              float down) {
+    const float high = upper_left * (1.0f - across) + upper_right * across;
+    return high * (1.0f - down) + (lower_left * (1.0f - across) + lower_right * across) * down;
+}
+
+__device__ inline float softened(const View& filtered, int y, int x) {
+    const int height = filtered.size[0], width = filtered.size[1];
+    float total = 0.0f;
+    for (int j = -1; j <= 1; j++)
+        for (int i = -1; i <= 1; i++)
+            total += (j ? SIDE : MIDDLE) * (i ? SIDE : MIDDLE)
+                     * filtered.at[3 * (size_t(within(y + j, height)) * width + within(x + i, width))];
+    return total;
+}
+
+extern "C" __global__ void denoise_correct(View filtered, View next_samples, View next_doubt, View moved, View gain,
+                                           View corrected) {
+    const int height = corrected.size[0], width = corrected.size[1], h = next_doubt.size[0], w = next_doubt.size[1];
+    PIXEL(width, height);
+    const Beside rows = beside(y, h, height), columns = beside(x, w, width);
+    float offset, lacks[2][2];
+    const int at_y = centre(y, h, height, offset), at_x = centre(x, w, width, offset);
+    for (int j = 0; j < 2; j++) {
+        for (int i = 0; i < 2; i++) {
+            const Lacking some = lacking_at(filtered, next_samples, next_doubt, gain, j ? rows.second : rows.first,
+                                            i ? columns.second : columns.first);
+            lacks[j][i] = some.weight * some.lack;
+        }
+    }
+    const float value = filtered.at[3 * (size_t(y) * width + x)];
+    const Lacking own = lacking_at(filtered, next_samples, next_doubt, gain, at_y, at_x);
+    float found = value + mixed(lacks[0][0], lacks[0][1], lacks[1][0], lacks[1][1], columns.share, rows.share);
+    if (moves_at(moved, size_t(at_y) * w + at_x)) {
+        const Beside down = beside(y, 2 * h, height), across = beside(x, 2 * w, width);
+        const float* const upper = next_samples.at + size_t(down.first) * 2 * w;
+        const float* const lower = next_samples.at + size_t(down.second) * 2 * w;
+        found += own.weight * (mixed(upper[across.first], upper[across.second], lower[across.first],
+                                     lower[across.second], across.share, down.share) - value - own.lack);
+    }
+    if (gain.at[SHARPER] > 0.0f) found += gain.at[SHARPER] * own.structure * (value - softened(filtered, y, x));
+    float* const to = corrected.at + 3 * (size_t(y) * width + x);
+    to[0] = to[1] = to[2] = clamped(found, 0.0f, 1.0f);
+}
