@@ -12,6 +12,7 @@ from postfx.frame import Frame, Part, Role
 from postfx.kernels.denoise.alpha import CORRECT, GATHER
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.parts import coverage
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from postfx.system import PROCESS
@@ -237,6 +238,15 @@ def test_no_light_lies_where_there_is_no_lamp_and_no_surface_of_its_kind(device:
             assert inside.min() >= 0 and (inside > 0).mean() > 0.99  # sharpening may reach zero
             found.parts[name][18:42, 18:42] = 0
             assert not found.parts[name].any()
+
+
+def test_a_part_fades_at_the_edges_of_its_surfaces_but_sparse_light_reaches_everywhere() -> None:
+    lit = np.zeros((24, 30), bool)
+    lit[:, 12:] = True
+    np.testing.assert_allclose(coverage(lit, True), np.tile(np.repeat([0, 1 / 3, 1], [11, 1, 18]), (24, 1)), atol=1e-6)
+    sparse = np.random.default_rng(4).random((24, 30)) < 0.2
+    assert coverage(sparse, True).mean() > 0.98 and coverage(sparse, False).mean() < 0.6
+    assert not coverage(np.zeros((24, 30), bool), True).any()
 
 
 def test_alpha_is_denoised_where_it_is_noisy_and_left_alone_where_it_is_clean(device: Device) -> None:

@@ -33,8 +33,8 @@ NEAR = 2e-3
 """Parts are all of the picture if their sum differs by less than this share of its light."""
 STEP = 8
 """One row in so many is looked at for that."""
-REACH = 1
-"""Render pixels around a surface or a lamp beyond which there is nothing of it, though filters bring some there."""
+DENSE, DENSER = 0.6, 0.8
+"""Shares of lit pixels around lit ones from which a part counts as a surface's and not as sparse light."""
 LARGEST = float(np.finfo(np.float32).max)
 BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "mist": (0.0, 1.0)}
 """Bounds of the values of planes by kind; other kinds begin at 0 and have no upper bound."""
@@ -242,9 +242,10 @@ class Layers:
         return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and _is_noisy(frame) else [])
 
     def _note_reach(self, frame: ResidentFrame, group: Group) -> None:
-        """Where the parts of a group have light in this frame."""
+        """Where the parts of a group have light in this frame: what is seen by a colour, lamps, and reflections."""
         self._reached[group.first] = self._everywhere[group.first]
-        planes = [name if self._kind(name) == EMISSION else self._parts[name].factor for name in group.names]
+        planes = [self._parts[name].factor or (name if self._kind(name) in (EMISSION, *SURFACES) else "")
+                  for name in group.names]
         if not any(planes):
             return
         name = f"reached by {group.first}"
@@ -253,7 +254,7 @@ class Layers:
         reached = np.ones((len(group.names), *self._render), np.float32)
         for i, plane in enumerate(planes):
             if plane in frame.host_parts:
-                reached[i] = _spread(frame.host_parts[plane].max(axis=2) > 0, REACH)
+                reached[i] = coverage(frame.host_parts[plane].max(axis=2) > 0, self._kind(plane) in SURFACES)
         self._copies[name].upload(reached)
         self._reached[group.first] = self._copies[name]
 
@@ -382,13 +383,27 @@ def _groups_of(parts: Sequence[Part]) -> list[Group]:
     return list(groups.values())
 
 
-def _spread(lit: np.ndarray, reach: int) -> np.ndarray:
-    """Pixels with a lit one in the square around them."""
-    height, width = lit.shape
-    wide, found = np.pad(lit, reach), np.zeros_like(lit)
-    for down in range(2 * reach + 1):
-        for right in range(2 * reach + 1):
-            found |= wide[down : down + height, right : right + width]
+def coverage(lit: np.ndarray, may_be_sparse: bool) -> np.ndarray:
+    """How far render pixels (h, w) have light of a part: 1 where there is some, else the share of 3x3 pixels.
+
+    Light that `may_be_sparse` misses pixels by chance, so all pixels have it unless lit ones lie together.
+    """
+    seen = lit.astype(np.float32)
+    share = _three_by_three(seen, 1, np.add) / np.float32(9)
+    unlit = (1 - seen) * (1 - share)
+    if may_be_sparse:
+        around, together = (_three_by_three(plane, 3, np.add) for plane in (
+            share, _three_by_three(seen * share, 1, np.add) / np.float32(9)))
+        dense = np.clip((together / np.maximum(around, 1e-6) - DENSE) / (DENSER - DENSE), 0, 1)
+        unlit *= np.where(around > 1e-6, _three_by_three(dense, 3, np.maximum), 1)
+    return 1 - unlit
+
+
+def _three_by_three(plane: np.ndarray, step: int, join: np.ufunc) -> np.ndarray:
+    """3x3 pixels of a plane (h, w), so many apart, joined; edge repeated."""
+    wide, last = np.pad(plane, step, "edge"), -2 * step
+    rows = join(join(wide[:last], wide[step:-step]), wide[2 * step:])
+    found: np.ndarray = join(join(rows[:, :last], rows[:, step:-step]), rows[:, 2 * step:])
     return found
 
 
