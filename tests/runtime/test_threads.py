@@ -20,7 +20,7 @@ def count_rows(y0, y1, counts):
 
 
 def bands_of(rows, edges: list[int], *arrays: np.ndarray) -> list[Band]:
-    return [Band(rows, *edge, arrays) for edge in zip(edges, edges[1:], strict=False)]
+    return [Band(lambda first, last: rows(first, last, *arrays), *edge) for edge in zip(edges, edges[1:], strict=False)]
 
 
 @pytest.mark.parametrize("pause", [0, 3 * LOOK], ids=["at once", "after they went"])
