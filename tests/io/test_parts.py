@@ -191,7 +191,7 @@ def test_ids_are_no_light_either(tmp_path: Path) -> None:
 
 def test_pictures_for_a_display_have_no_parts(cycles: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(cycles), "-o", str(tmp_path / "a.0001.png"), "--aov", "auto", "--explain"]) == 0
-    assert "parts of the picture: they are light of the scene" in capsys.readouterr().out
+    assert "parts of the picture: they are scene-linear" in capsys.readouterr().out
     assert main(["run", str(cycles), "--aov", "key", "--explain"]) == 0
     assert "parts   ViewLayer.Combined_key" in capsys.readouterr().out
 

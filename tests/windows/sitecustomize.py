@@ -109,7 +109,8 @@ def _backslashed(pattern: str, **named: Any) -> list[str]:
 
 PROXIES = {
     "os": Proxy(os, MISSING["os"], {
-        "name": "nt", "replace": _refuse_open(os.replace, 0, 1), "unlink": _refuse_open(os.unlink, 0),
+        "name": "nt", "unlink": _refuse_open(os.unlink, 0),
+        "replace": _refuse_open(lambda *given, **named: os.replace(*given, **named), 0, 1),  # looked up, for tests
         "readlink": _without_folders(os.readlink), "scandir": os.scandir}),
     "mmap": Proxy(mmap, MISSING["mmap"], {"mmap": _Map}),
     "signal": Proxy(signal, MISSING["signal"], {}),
