@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
 import hashlib
 import os
 import re
@@ -135,7 +136,7 @@ ROOMS = (
     _room("repair.py", 1, *_in("stress", "bad_pixels")),
     _room("report/", 2, "report"),
     _room("bench/", 1, "bench"),
-    _room("cli/", 3, *_in("cli", "options", "run", "inspect", "report", "exposure"), *_in("files", "on_error"),
+    _room("cli/", 3, *_in("cli", "options", "run", "inspect", "report", "exposure", "ray"), *_in("files", "on_error"),
           *_in("io", "views")),
 )
 """The first one that holds a source is its room."""
@@ -189,6 +190,7 @@ EQUIVALENT = {
     "number: 7 -> 6 in shifted = [correlation(": "noise is as unrelated to that of six pixels away as of seven",
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",
     "number: 2 -> 3 in lines = np.empty((3, count + 2)": "a row is longer than what is read of it",
+    "number: 0 -> -1 in left, right = min(max(first, 0), w - 1)": "the second pixel is never before the picture",
     "operator: <= -> < in light[i] = max(mixed, ZERO) if mixed <= MAX_FLOAT": "no light is just the largest number",
     "chosen: or abs(columns[1]) > MARGIN - 3 -> or columns[1] > MARGIN - 3": "the second column lies after the first",
 }
@@ -357,7 +359,7 @@ class House:
             (folder / "shared").symlink_to(shared.resolve())
         kernels = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "postfx"
         if kernels.is_dir():
-            shutil.copytree(kernels, folder / "cache/postfx")
+            shutil.copytree(kernels, folder / "cache/postfx", copy_function=_copy_if_there)
         self._environment = {**os.environ, "PYTHONPATH": str(self.root), "XDG_CACHE_HOME": str(folder / "cache"),
                              "PYTHONDONTWRITEBYTECODE": "1"}
 
@@ -390,6 +392,12 @@ class House:
             return before if known and self.find([before]) == before else self.find(shlex.split(tests))
         finally:
             path.write_text(_text(mutant.source), encoding="utf-8")
+
+
+def _copy_if_there(source: str, target: str) -> None:
+    """Copy a file, unless another process that shares the cache has just removed it."""
+    with contextlib.suppress(FileNotFoundError):
+        shutil.copy2(source, target)
 
 
 def rows_of(table: Path) -> dict[str, str]:

@@ -13,7 +13,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from postfx.cli.chunks import ChunkActor, _share_of_machine
+from postfx.cli.chunks import ChunkActor, _connect, _share_of_machine
 from postfx.errors import FarmError
 from postfx.io.sequence import Sequence
 from postfx.runs.locks import Claim
@@ -48,6 +48,19 @@ def test_without_ray(postfx, noise, monkeypatch):
     done = postfx("run", "in/", "-o", "out/", "--ray", "auto")
     assert (done.code, done.err) == (
         2, "error: --ray needs Ray, which is not installed here: pip install 'postfx-render[ray]'\n")
+
+
+def test_ray_is_given_the_address_and_what_it_answers_is_said(monkeypatch):
+    asked = []
+
+    def init(address, **_):
+        asked.append(address)
+        raise ConnectionError("no cluster runs here\nand much more")
+
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(init=init))
+    with pytest.raises(FarmError, match="--ray local: cannot be reached: no cluster runs here: give the address"):
+        _connect("local")
+    assert asked == ["local"]
 
 
 def test_an_actor_says_what_its_machine_lacks(tmp_path):
