@@ -417,11 +417,12 @@ def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
 
 
 def _mean_stops(light: np.ndarray) -> float | None:
-    """Mean log2 of the light in blocks of every eighth row; None without any."""
-    rows = light[::STEP, : light.shape[1] // STEP * STEP or None].mean(axis=2)
-    seen = rows.reshape(rows.shape[0], -1, min(STEP, rows.shape[1])).mean(axis=2)
-    seen = seen[np.isfinite(seen) & (seen > 0)]
-    return float(np.log2(seen).mean()) if seen.size else None
+    """log2 of the mean light of every eighth row; None without any. The mean of logarithms would tell of the dark pixels
+    of sparse light alone, which is then overexposed."""
+    rows = light[::STEP]
+    seen = rows[np.isfinite(rows)]
+    total = float(seen.sum(dtype=np.float64))
+    return float(np.log2(total / seen.size)) if total > 0 else None
 
 
 def _is_complete(frame: ResidentFrame, names: Sequence[str]) -> bool:
