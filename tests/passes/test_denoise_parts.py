@@ -12,7 +12,7 @@ from postfx.frame import Frame, Part, Role
 from postfx.kernels.denoise.alpha import CORRECT, GATHER
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.frame import Frames
-from postfx.passes.denoise.parts import coverage
+from postfx.passes.denoise.parts import coverage, mean_stops
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from postfx.system import PROCESS
@@ -247,6 +247,14 @@ def test_a_part_fades_at_the_edges_of_its_surfaces_but_sparse_light_reaches_ever
     sparse = np.random.default_rng(4).random((24, 30)) < 0.2
     assert coverage(sparse, True).mean() > 0.98 and coverage(sparse, False).mean() < 0.6
     assert not coverage(np.zeros((24, 30), bool), True).any()
+
+
+def test_sparse_light_is_exposed_by_its_mean() -> None:
+    light = np.full((64, 40, 3), 1e-4, np.float32)
+    light[:, ::20] = 5.0
+    assert abs(mean_stops(light) + 2) < 0.01 and mean_stops(0 * light) is None
+    light[8, 3] = np.nan
+    assert abs(mean_stops(light) + 2) < 0.01
 
 
 def test_alpha_is_denoised_where_it_is_noisy_and_left_alone_where_it_is_clean(device: Device) -> None:

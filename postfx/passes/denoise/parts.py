@@ -409,16 +409,16 @@ def _three_by_three(plane: np.ndarray, step: int, join: np.ufunc) -> np.ndarray:
 
 def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
     """Stops by which a part is darker than the picture, 0 to 8: those of the last frame unless they are off by 1."""
-    picture, part = (_mean_stops(light) for light in (frame.host_planes[Role.COLOUR], frame.host_parts[name]))
+    picture, part = (mean_stops(light) for light in (frame.host_planes[Role.COLOUR], frame.host_parts[name]))
     if picture is None or part is None:
         return before
     stops = min(max(picture - part, 0.0), 8.0)
     return before if abs(stops - before) < 1 else float(round(stops))
 
 
-def _mean_stops(light: np.ndarray) -> float | None:
-    """log2 of the mean light of every eighth row; None without any. The mean of logarithms would tell of the dark pixels
-    of sparse light alone, which is then overexposed."""
+def mean_stops(light: np.ndarray) -> float | None:
+    """log2 of the mean light of every eighth row; None without any. By a mean of logarithms, sparse light, most of whose
+    pixels are dark, would be overexposed."""
     rows = light[::STEP]
     seen = rows[np.isfinite(rows)]
     total = float(seen.sum(dtype=np.float64))
