@@ -74,7 +74,7 @@ def convert(
             plane = plane * np.array([1, 1, -1], np.float32)  # the header's camera looks along +z
         plane = normals_to_world(plane, camera.world_to_camera)
     if rule.clamp is not None:
-        plane = np.clip(plane, *rule.clamp)
+        plane = np.clip(plane, *rule.clamp, out=plane)
     return np.ascontiguousarray(plane, np.float32)
 
 

@@ -100,8 +100,11 @@ def read_planes(
         for first, last in scratch.pieces(size[1], row_bytes) if scratch else _pieces(size[1], channels):
             pixels = read_channels(channels, (first, last))
             for role, match in alike.items():
-                piece = np.stack([pixels[channel] for channel in match.channels], axis=-1)
-                planes[role][first:last] = convert(piece, match.rule, camera, first, size[1])
+                piece = planes[role][first:last]
+                np.stack([pixels[channel] for channel in match.channels], axis=-1, out=piece)
+                found = convert(piece, match.rule, camera, first, size[1])
+                if found is not piece:
+                    piece[:] = found
     return planes
 
 

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -346,8 +346,9 @@ class ZipReader:
             return None
         found = {name: np.empty((last - first, self._data.width), np.float32) for name in names}
         stored = [self._file.read(self._file.chunk(self._part, place)) for place in places]
-        with ThreadPoolExecutor(oiio.get_int_attribute("threads"), "postfx zip") as pool:
-            return found if all(pool.map(partial(self._unpack, found, first), places, stored)) else None
+        unpacked = _zip_threads(oiio.get_int_attribute("threads")).map(
+            partial(self._unpack, found, first), places, stored)
+        return found if all(unpacked) else None
 
     def _unpack(self, found: dict[str, np.ndarray], first: int, place: int, stored: bytes) -> bool:
         """Put a chunk's rows into arrays whose rows begin with `first`; False where the chunk is broken."""
@@ -367,6 +368,16 @@ class ZipReader:
                 end = start + 2 * target.shape[1]
                 target.view(np.uint16)[:] = wanted[:len(target), start:end]
         return True
+
+
+@cache
+def _zip_threads(count: int) -> ThreadPoolExecutor:
+    """Threads that unpack and compress chunks. They stay: a frame is read in nine pieces, and starting them costs."""
+    return ThreadPoolExecutor(count, "postfx zip")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_zip_threads.cache_clear)  # a forked process has none of them
 
 
 def _decompress(stored: bytes, count: int) -> np.ndarray | None:
@@ -441,14 +452,14 @@ def _zip_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
     """Place in the table and bytes of each chunk, from the top."""
     data, line_bytes = header.data, header.data.width * sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
     step = max(1, _PIECE // (line_bytes * ZIP_LINES)) * ZIP_LINES
-    with ThreadPoolExecutor(oiio.get_int_attribute("threads"), "postfx zip") as pool:
-        for first in range(0, data.height, step):
-            last = min(data.height, first + step)
-            lines = _lines(read(first, last), line_bytes)
-            blocks = [lines[top : top + ZIP_LINES] for top in range(0, last - first, ZIP_LINES)]
-            for number, stored in enumerate(pool.map(_compress, blocks)):
-                row = first + number * ZIP_LINES
-                yield row // ZIP_LINES, struct.pack("<2i", data.y0 + row, len(stored)) + stored
+    threads = _zip_threads(oiio.get_int_attribute("threads"))
+    for first in range(0, data.height, step):
+        last = min(data.height, first + step)
+        lines = _lines(read(first, last), line_bytes)
+        blocks = [lines[top : top + ZIP_LINES] for top in range(0, last - first, ZIP_LINES)]
+        for number, stored in enumerate(threads.map(_compress, blocks)):
+            row = first + number * ZIP_LINES
+            yield row // ZIP_LINES, struct.pack("<2i", data.y0 + row, len(stored)) + stored
 
 
 def _lines(channels: Sequence[np.ndarray], line_bytes: int) -> np.ndarray:
