@@ -1,5 +1,7 @@
 """Files and windows: what `ImageFile` reads, and how it says no."""
 
+import multiprocessing
+import os
 from pathlib import Path
 
 import numpy as np
@@ -148,3 +150,20 @@ def test_zip_leaves_rows_that_its_table_does_not_hold_to_openimageio(tmp_path: P
         assert reader.read(["G"], 0, 41) is None and reader.read(["G"], -1, 8) is None
         file.counts[0] = 2  # as if the header told of fewer lines than OpenImageIO reads
         assert reader.read(["G"], 0, 40) is None and reader.read(["G"], 0, 32) is not None
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_process_unpacks_with_threads_of_its_own(write_exr, ramp):
+    path = write_exr("a.exr", ramp("Z"))
+
+    def read():
+        with ImageFile(path) as file:
+            file.read(file.parts[0], {"Z": 0.0})
+
+    read()
+    child = multiprocessing.get_context("fork").Process(target=read)
+    child.start()
+    child.join(30)
+    alive = child.is_alive()
+    child.kill()
+    assert not alive and child.exitcode == 0
