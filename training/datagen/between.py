@@ -1,6 +1,6 @@
 """Render the eight sequences by which frames between frames are judged: what is hard about them, and nothing else.
 
-    python -m training.datagen.between --out DIR [--only NAME,NAME] [--variant llvm_ad_rgb] [--samples 36] [--frames 9]
+    python -m training.datagen.between --out DIR [--only NAME,NAME] [--variant llvm_ad_rgb] [--samples 144] [--frames 9]
 
 Each becomes a folder that samples/between_frames.py reads: reference.####.exr, the pictures, and noisy.####.exr, the
 same pictures with motion, depth, normals and hit distances of one ray a pixel. Planes are of solid surfaces; what moves
@@ -195,6 +195,12 @@ def camera(moment: Moment) -> np.ndarray:
     return np.array(mi.ScalarTransform4f().look_at(list(moment.eye), list(moment.target), [0, 1, 0]).matrix, float)
 
 
+def shows_others(moment: Moment) -> bool:
+    """Whether there are mirrors or panes of glass, which take longer paths and more samples."""
+    return any(thing["bsdf"]["type"] == "thindielectric" for thing, _ in moment.things.values()) or \
+        bool(mirrors_of(moment))
+
+
 def mirrors_of(moment: Moment) -> set[str]:
     """Names of things that are mirrors."""
     return {name for name, (thing, _) in moment.things.items() if thing["bsdf"].get("bsdf") is MIRROR}
@@ -209,9 +215,9 @@ def load(moment: Moment, in_planes: bool) -> tuple[Any, list[str]]:
     sensor = {"type": "perspective", "fov": FOV, "fov_axis": "x", "to_world": mi.ScalarTransform4f(camera(moment)),
               "film": {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "rfilter": {"type": "box"},
                        "pixel_format": "rgb", "component_format": "float32"},
-              "sampler": {"type": "independent"}}
-    # direct light alone has little noise; mirrors show more than that
-    integrator = {"type": "path", "max_depth": 3} if mirrors_of(moment) else \
+              "sampler": {"type": "multijitter"}}  # even over a pixel: a hundredth of the noise
+    # direct light alone has little noise; mirrors and glass show more than that
+    integrator = {"type": "path", "max_depth": 3} if shows_others(moment) else \
         {"type": "direct", "emitter_samples": LIGHT_SAMPLES, "bsdf_samples": 0}
     return mi.load_dict({"type": "scene", "integrator": integrator, "sensor": sensor, **shapes,
                          **moment.lights}), list(things)
@@ -269,7 +275,7 @@ def render(folder: Path, sequence: Callable[[float], Moment], frames: int, sampl
             continue
         moment, before = sequence(float(number)), sequence(float(number - 1))
         scene, _ = load(moment, in_planes=False)
-        count = 4 * samples if mirrors_of(moment) else samples
+        count = 4 * samples if shows_others(moment) else samples
         colour = np.array(mi.render(scene, spp=count, seed=number), np.float32)
         planes = planes_of(moment, before)
         write_planes(folder / f"reference.{number:04d}.exr", Frame({Role.COLOUR: colour}, number=number))
@@ -282,7 +288,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder for a folder of each sequence")
     parser.add_argument("--only", help="these sequences, comma-separated")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba variant")
-    parser.add_argument("--samples", type=int, default=36, help="a pixel; four times as many where there are mirrors")
+    parser.add_argument("--samples", type=int, default=144, help="a pixel; four times as many with mirrors or glass")
     parser.add_argument("--frames", type=int, default=9)
     arguments = parser.parse_args()
     mi.set_variant(arguments.variant)
