@@ -26,19 +26,11 @@ import numpy as np
 from postfx.cuts import CutDetector
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
-from postfx.interpolate.blend import (
-    COVERED,
-    compose,
-    find_overlay,
-    is_finite,
-    is_same_plane,
-    join_cells,
-    measure_clearness,
-    remove_overlay,
-)
+from postfx.interpolate import layers, paths
+from postfx.interpolate.blend import compose, is_finite, is_same_plane, join_cells
 from postfx.interpolate.choose import MARGIN, choose_paths, fill_holes, measure_detail, merge_sides, misfits, tone_rows
 from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, halve
-from postfx.interpolate.paths import Paths, gather_cells, motion_of_reflections, paths_of, rank_paths, splat_paths
+from postfx.interpolate.timing import camera_between
 from postfx.system import usable_cores
 from postfx.temporal.reverse_motion import invert_motion
 
@@ -111,7 +103,7 @@ class Between:
         views = {name: Between(view, self.after.views[name], **self._options).frame(t, number, previous)
                  for name, view in self.before.views.items() if name in self.after.views}
         planes, parts = self._make_planes(t, previous)
-        camera = self._camera_at(t)
+        camera = camera_between(self.before.world_to_camera, self.after.world_to_camera, t)
         metadata = {name: value for name, value in self.before.metadata.items() if name not in CAMERA}
         if camera is not None and CAMERA[0] in self.before.metadata:
             metadata[CAMERA[0]] = tuple(camera.ravel().tolist())
@@ -145,27 +137,6 @@ class Between:
         same = all(is_same_plane(np.ascontiguousarray(self.before[role]).ravel(),
                                  np.ascontiguousarray(self.after[role]).ravel()) for role in planes)
         return STILL if same else None
-
-    def _camera_at(self, t: float) -> np.ndarray | None:
-        """World to camera (4, 4) at a time: turned about one axis, and moved straight. None where there is none."""
-        one, other = self.before.world_to_camera, self.after.world_to_camera
-        if one is None or other is None:
-            return None
-        try:
-            first, last = np.linalg.inv(one), np.linalg.inv(other)
-            turn = np.linalg.inv(first[:3, :3]) @ last[:3, :3]
-            angle = math.acos(min(max((np.trace(turn) - 1) / 2, -1), 1))
-            if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or angle > 3:
-                return None
-            axis = (turn - turn.T) / (2 * math.sin(angle)) if angle > 1e-9 else np.zeros((3, 3))
-            part = np.eye(3) + math.sin(t * angle) * axis + (1 - math.cos(t * angle)) * axis @ axis  # Rodrigues
-            camera = first.copy()
-            camera[:3, :3] = first[:3, :3] @ part
-            camera[3] = (1 - t) * first[3] + t * last[3]
-            found: np.ndarray = np.linalg.inv(camera)
-        except np.linalg.LinAlgError:
-            return None
-        return found
 
     # What is found once for all times
 
@@ -203,7 +174,21 @@ class Between:
             return _finite(self.before[Role.OPAQUE_COLOUR]), _finite(self.after[Role.OPAQUE_COLOUR])
         if not self._composited:
             return self._colours
-        first, last = (remove_overlay(*both) for both in zip(self._colours, self._overlays, strict=True))
+        first, last = (layers.remove_overlay(*both) for both in zip(self._colours, self._overlays, strict=True))
+        return first, last
+
+    @cached_property
+    def _sparks(self) -> list[layers.Pair]:
+        """Sparks without vectors of both frames, as pairs."""
+        motion = _finite(self.after[Role.MOTION]) if Role.MOTION in self.after else None
+        onward = None if self._later is None or self._later.reset else self._later.planes.get(Role.COLOUR)
+        return layers.track_sparks(*self._pictures, onward, motion, self._level)
+
+    @cached_property
+    def _scenes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Colours without overlays and sparks."""
+        first, last = (layers.remove_sparks(picture, [pair[side] for pair in self._sparks])
+                       for side, picture in enumerate(self._pictures))
         return first, last
 
     @cached_property
@@ -211,7 +196,7 @@ class Between:
         """Grey pictures with margins (h + 2 MARGIN, w + 2 MARGIN), by which paths are compared."""
         h, w = self._size
         found = []
-        for picture in self._pictures:
+        for picture in self._scenes:
             toned = np.empty((h + 2 * MARGIN, w + 2 * MARGIN), np.float32)
             _in_bands(h, tone_rows, picture, self._level, toned)
             toned[:MARGIN], toned[h + MARGIN:] = toned[MARGIN], toned[h + MARGIN - 1]
@@ -242,16 +227,23 @@ class Between:
         return first, last
 
     @cached_property
+    def _depths(self) -> Pair:
+        """Depth (h, w, 1) of both frames; empty where one has none."""
+        if not self._both_have(Role.DEPTH):
+            return np.empty((0, 0, 1), np.float32), np.empty((0, 0, 1), np.float32)
+        return np.ascontiguousarray(self.before[Role.DEPTH]), np.ascontiguousarray(self.after[Role.DEPTH])
+
+    @cached_property
     def _known(self) -> tuple[np.ndarray, np.ndarray]:
         """(h, w) of each frame: where it shows the scene, and not an overlay."""
         if self._composited:
-            first, last = (overlay[..., 3] < COVERED for overlay in self._overlays)
+            first, last = (overlay[..., 3] < layers.COVERED for overlay in self._overlays)
             return first, last
         known = np.ones(self._size, np.bool_)
         if self._both_have(Role.MOTION) and not self._both_have(Role.OPAQUE_COLOUR):
             motion = self.after[Role.MOTION]
             size = np.abs(_finite(motion[::4, ::4])).sum(-1)
-            find_overlay(*self._pictures, motion, min(LONGEST, math.ceil(float(np.quantile(size, 0.99)))), known)
+            layers.find_overlay(*self._pictures, motion, min(LONGEST, math.ceil(float(np.quantile(size, 0.99)))), known)
         return known, known
 
     @cached_property
@@ -289,7 +281,7 @@ class Between:
             return np.empty((0, 0, 2), np.float32)
         motion, depth = self._cells_of(self.after)
         length = _finite(self.after[Role.SPECULAR_HIT_DISTANCE])[::self._scale, ::self._scale]
-        found: np.ndarray = self._scale * motion_of_reflections(motion, depth, length, self.after.fov_x)
+        found: np.ndarray = self._scale * paths.motion_of_reflections(motion, depth, length, self.after.fov_x)
         return found
 
     def _enlarge(self, motion: np.ndarray) -> np.ndarray:
@@ -301,11 +293,11 @@ class Between:
         motion, depth = (frame[role] if role in frame else np.empty((0, 0, count), np.float32)
                          for role, count in ((Role.MOTION, 2), (Role.DEPTH, 1)))
         found = np.empty((*self._grid, 2), np.float32), np.empty((*self._grid, 1), np.float32)
-        gather_cells(motion, depth, self._scale, np.float32(4 * max(self._size)), *found)
+        paths.gather_cells(motion, depth, self._scale, np.float32(4 * max(self._size)), *found)
         return found
 
     @cached_property
-    def _paths(self) -> tuple[Paths, Paths]:
+    def _paths(self) -> tuple[paths.Paths, paths.Paths]:
         has_depth = self._both_have(Role.DEPTH)
         (came, near), (motion, far) = _at_once([lambda: self._cells_of(self.before),
                                                 lambda: self._cells_of(self.after)])
@@ -314,14 +306,19 @@ class Between:
         if not has_depth:
             near, far = self._rank(motion)
         known_from_before = Role.MOTION in self.after and Role.MOTION in self.before and not self.before.reset
-        later, inverted = self._later, [lambda: invert_motion(motion, far, near)]
+        inverted, fields, later = [lambda: invert_motion(motion, far, near)], [motion], self._later
         if has_depth and later is not None and not later.reset and Role.MOTION in later and Role.DEPTH in later:
             if later[Role.MOTION].shape[:2] == self._size:
-                inverted.append(lambda: invert_motion(*self._cells_of(later), far))
-        ahead, goes = (*_at_once(inverted), None)[:2]
-        first, last = paths_of(motion, ahead, near, far, came if known_from_before else None, goes, _in_bands)
-        for paths, frame in ((first, self.before), (last, self.after)):
-            paths.ends += np.array(frame.jitter * 2, np.float32) / np.float32(self._scale)
+                onward, beyond = self._cells_of(later)
+                fields.append(onward)
+                inverted.append(lambda: invert_motion(onward, beyond, far))
+        ways = _at_once(inverted)
+        for field, way in zip(fields, ways, strict=True):
+            _in_bands(len(way), paths.refine, field, way)
+        ahead, goes = (*ways, None)[:2]
+        first, last = paths.paths_of(motion, ahead, near, far, came if known_from_before else None, goes, _in_bands)
+        for side, frame in ((first, self.before), (last, self.after)):
+            side.ends += np.array(frame.jitter * 2, np.float32) / np.float32(self._scale)
         return first, last
 
     def _rank(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -329,8 +326,8 @@ class Between:
         first, last = self._small
         near, far = (np.ones((*self._grid, 1), np.float32) for _ in range(2))
         ahead = invert_motion(motion, far, near)
-        rank_paths(first, last, ahead, near)
-        rank_paths(last, first, motion, far)
+        paths.rank_paths(first, last, ahead, near)
+        paths.rank_paths(last, first, motion, far)
         return near, far
 
     @cached_property
@@ -348,7 +345,7 @@ class Between:
         """What `compose` takes of the cells at a time."""
         _ = self._toned
         (first, last), _, _ = _at_once([lambda: self._paths, lambda: self._flows, lambda: self._known], waiting=True)
-        (one, near), (other, far) = _at_once([lambda: splat_paths(first, t), lambda: splat_paths(last, t)])
+        (one, near), (other, far) = _at_once([lambda: paths.splat_paths(first, t), lambda: paths.splat_paths(last, t)])
         own = np.empty((*self._grid, 6), np.float32)
         _in_bands(len(own), merge_sides, one, near, other, far, np.float32(self._scale), own)
         if any((*self.before.jitter, *self.after.jitter)):
@@ -356,12 +353,12 @@ class Between:
             own[..., :4] -= shift
             for side in (one, other):
                 side[..., :4] -= shift / np.float32(self._scale)
-        fill_holes(own, depth := np.minimum(near, far))
+        fill_holes(own, np.minimum(near, far))
         cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
         _in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows,
-                  self._mirrored, depth, first.depth, last.depth, t, self._scale, self._noise, cells)
-        _in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, self._noise, cells)
+                  self._mirrored, near, far, first.depth, last.depth, t, self._scale, self._noise, cells)
         _in_bands(self._grid[0], join_cells, cells)
+        _in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, self._noise, cells)
         return cells
 
     def _make_planes(self, t: float, previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
@@ -383,8 +380,9 @@ class Between:
         motion = np.empty((*self._size, 2) if Role.MOTION in after else (0, 0, 2), np.float32)
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and 1
         back = [np.float32((previous - t) * (previous - 1) / t), np.float32(previous * (previous - t) / (1 - t))]
-        _in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, self._masked, t,
-                  self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
+        _in_bands(len(picture), compose, cells, self._scale, *self._scenes, *self._known, *self._depths, self._masked,
+                  t, self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
+        layers.add_sparks(picture, self._sparks, t)
         made = _split(mixed, light) | _split(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
         if Role.MOTION in after:
@@ -409,7 +407,7 @@ class Between:
             return covered
         one, other = self._colours
         if self._both_have(Role.OPAQUE_COLOUR):
-            clear = measure_clearness(one, other, *self._pictures)
+            clear = layers.measure_clearness(one, other, *self._pictures)
             mean = self._pictures[0] + np.float32(t) * (self._pictures[1] - self._pictures[0])
             drawn: np.ndarray = one + np.float32(t) * (other - one) + clear * (picture - mean)
             return drawn

@@ -18,12 +18,13 @@ import numpy as np
 from postfx.interpolate.choose import differ, is_within
 from postfx.kernels.numeric import Real, compiled, inline, summed
 from postfx.kernels.vectors import in_lanes
-from postfx.sampling import local_sum
 
 ZERO, ONE = np.float32(0), np.float32(1)
 NOTHING = (ZERO, ZERO, ZERO)
 JOINED = np.float32(0.6)
 """Pixels by which paths of cells beside each other may differ for there to be others between them."""
+TURNING, SMOOTH = np.float32(3), np.float32(0.25)
+"""The same where paths change evenly from cell to cell, and how much that change itself may change."""
 LEAST = np.float32(1e-4)
 """Weight of a frame that does not show a point, so that something is there where none does."""
 LITTLE = np.float32(1e-3)
@@ -31,12 +32,12 @@ LITTLE = np.float32(1e-3)
 ALIKE, UNSURE, TINY = np.float32(0.05**2), np.float32(0.2), np.float32(1e-6)
 """Relative difference of both frames, squared, from which a path counts less beside others; what stands for it where
 only one frame shows a point; light below which nothing counts."""
+NEARER, HIDDEN = np.float32(0.1), np.float32(0.35)
+"""Relative difference in depth of two surfaces, and what is left of the share of a path that is hidden by another."""
 CRISP = np.float32(0.97)
 """Share of detail that both frames show from which a cell keeps all of it, up to the middles of those beside: light
 does not leak over an edge."""
-COVERED = 0.98
-"""Coverage from which an overlay hides the picture."""
-ELSE, DARK = np.float32(60), np.float32(0.05)
+ELSE, DARK = np.float32(130), np.float32(0.05)
 """How many times as bright as in the other frame something is that only one of them shows, and the share of the middle
 light, summed over channels, that counts as dark there."""
 Cell: TypeAlias = tuple[Real, Real, Real, Real, Real, Real, Real]
@@ -136,20 +137,38 @@ def weights_of(path: Cell, known_before: np.ndarray, known_after: np.ndarray, y:
     return shares
 
 
+@inline
+def is_line(cells: np.ndarray, y: int, x: int, j: int, i: int, c: int) -> bool:
+    """Whether from a cell to the one (j, i) on the path changes about as much as to the next one, or from the last."""
+    rows, columns = cells.shape[:2]
+    step = cells[y + j, x + i, c] - cells[y, x, c]
+    last = step - cells[y, x, c] + cells[max(y - j, 0), max(x - i, 0), c]
+    coming = cells[min(y + 2 * j, rows - 1), min(x + 2 * i, columns - 1), c] - cells[y + j, x + i, c] - step
+    return bool(min(abs(last), abs(coming)) <= SMOOTH)
+
+
 @compiled
 def join_cells(y0: int, y1: int, cells: np.ndarray) -> None:
-    """Mark cells that follow one path with those to the right and below."""
+    """Mark cells that follow one path with those to the right and below by 1, and by 2 where it changes evenly, as on
+    what turns."""
     rows, columns = cells.shape[:2]
     for y in range(y0, y1):
-        low = min(y + 1, rows - 1)
+        j = min(y + 1, rows - 1) - y
         for x in range(columns):
-            right = min(x + 1, columns - 1)
-            is_one = True
+            i = min(x + 1, columns - 1) - x
+            is_one, is_even = True, True
             for c in range(6):
-                one, most = cells[y, x, c], JOINED if c < 4 else ZERO
-                beside, under = abs(cells[y, right, c] - one), abs(cells[low, x, c] - one)
-                is_one = is_one and max(max(beside, under), abs(cells[low, right, c] - one)) <= most
-            cells[y, x, 7] = ONE if is_one else ZERO
+                one, beside, under = cells[y, x, c], cells[y, x + i, c], cells[y + j, x, c]
+                across = cells[y + j, x + i, c]
+                apart = max(max(abs(beside - one), abs(under - one)), abs(across - one))
+                is_one = is_one and apart <= (JOINED if c < 4 else ZERO)
+                is_even = is_even and apart <= (TURNING if c < 4 else ZERO) \
+                    and abs(one - beside - under + across) <= SMOOTH
+            if not is_one and is_even:
+                for c in range(4):
+                    is_even = is_even and is_line(cells, y, x, 0, i, c) and is_line(cells, y, x, j, 0, c) \
+                        and is_line(cells, y + j, x, 0, i, c) and is_line(cells, y, x + i, j, 0, c)
+            cells[y, x, 7] = ONE if is_one else 2 * ONE if is_even else ZERO
 
 
 @inline
@@ -263,10 +282,44 @@ def share_cells(flat: np.ndarray, p: int, q: int, r: int, s: int, across: Real, 
                 break
 
 
+@inline
+def depth_along(near: np.ndarray, far: np.ndarray, path: Cell, y: int, x: int) -> tuple[Real, bool]:
+    """Depth of the surface that a path shows at a pixel, 0 where it leads to another one, and whether both frames show
+    it."""
+    h, w = near.shape[:2]
+    half = np.float32(0.5)
+    j, i, _, _ = corner_of(y + half + path[1], x + half + path[0], h, w)
+    m, n, _, _ = corner_of(y + half + path[3], x + half + path[2], h, w)
+    one, other = near[j, i, 0], far[m, n, 0]
+    if path[4] == 0 or path[5] == 0:
+        return other if path[4] == 0 else one, False
+    is_one = abs(one - other) <= NEARER * min(one, other)
+    return half * (one + other) * is_one, is_one
+
+
+@compiled
+def hide_cells(flat: np.ndarray, near: np.ndarray, far: np.ndarray, p: int, q: int, r: int, s: int, y: int, x: int,
+               mixture: np.ndarray) -> None:
+    """Take its share (4,) of a pixel from a path whose surface lies behind one that both frames show there, by another
+    one of four cells."""
+    one, is_one = depth_along(near, far, cell_of(flat, 8 * p), y, x)
+    two, is_two = depth_along(near, far, cell_of(flat, 8 * q), y, x)
+    three, is_three = depth_along(near, far, cell_of(flat, 8 * r), y, x)
+    four, is_four = depth_along(near, far, cell_of(flat, 8 * s), y, x)
+    depths, shown = (one, two, three, four), (is_one, is_two, is_three, is_four)
+    nearest = np.float32(np.inf)
+    for k in range(4):
+        if mixture[k] > 0 and shown[k]:
+            nearest = min(nearest, depths[k])
+    for k in range(4):
+        if depths[k] > (ONE + NEARER) * nearest:
+            mixture[k] *= HIDDEN
+
+
 @compiled
 def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
-            known_after: np.ndarray, y: int, t: Real, paths: np.ndarray, shares: np.ndarray, dim: Real, row: np.ndarray,
-            mixture: np.ndarray) -> None:
+            known_after: np.ndarray, near: np.ndarray, far: np.ndarray, y: int, t: Real, paths: np.ndarray,
+            shares: np.ndarray, dim: Real, row: np.ndarray, mixture: np.ndarray) -> None:
     """Colours (w, 3) of those pixels of a row that are NaN: by their path between joined cells, or by those of the four
     cells around them, whose shares of the pixel (w, 4) are written to `mixture`."""
     h, w = before.shape[:2]
@@ -282,6 +335,9 @@ def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray
         if not joined:
             share_cells(flat, top * columns + left, top * columns + right, low * columns + left, low * columns + right,
                         across, down, mixture[x])
+            if near.size:
+                hide_cells(flat, near, far, top * columns + left, top * columns + right, low * columns + left,
+                           low * columns + right, y, x, mixture[x])
         for k in range(1 if joined else 4):
             share, path = ONE, cell_of(flat_paths, 8 * x)
             if not joined:
@@ -367,7 +423,8 @@ def take_row(before: np.ndarray, after: np.ndarray, y: int, paths: np.ndarray, s
 
 @compiled
 def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray, after: np.ndarray,
-            known_before: np.ndarray, known_after: np.ndarray, masked: bool, t: Real, level: Real, colour: np.ndarray,
+            known_before: np.ndarray, known_after: np.ndarray, near: np.ndarray, far: np.ndarray, masked: bool,
+            t: Real, level: Real, colour: np.ndarray,
             light_before: np.ndarray, light_after: np.ndarray, light: np.ndarray, data_before: np.ndarray,
             data_after: np.ndarray, data: np.ndarray, by_first: Real, by_last: Real, motion: np.ndarray) -> None:
     """The planes between: light is mixed, data is that of the nearest pixel in the frame that counts more.
@@ -387,7 +444,8 @@ def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray,
         else:
             weigh_row(paths, h, y, time, shares)
         sample_row(flat_before, flat_after, h, y, paths, shares, dim, colour[y])
-        mix_row(cells, size, before, after, known_before, known_after, y, time, paths, shares, dim, colour[y], mixture)
+        mix_row(cells, size, before, after, known_before, known_after, near, far, y, time, paths, shares, dim,
+                colour[y], mixture)
         if light.shape[2]:
             light_row(cells, size, light_before, light_after, known_before, known_after, y, time, paths, shares,
                       mixture, light[y])
@@ -397,51 +455,6 @@ def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray,
             for x in range(w):
                 motion[y, x, 0] = by_first * paths[x, 0] + by_last * paths[x, 2]
                 motion[y, x, 1] = by_first * paths[x, 1] + by_last * paths[x, 3]
-
-
-@compiled
-def find_overlay(before: np.ndarray, after: np.ndarray, motion: np.ndarray, reach: int, known: np.ndarray) -> None:
-    """Mark as unknown what is drawn over both pictures and stands still while the scene behind it moves.
-
-    Such pixels have the same bits in both frames and an edge beside them that has, too, and their motion is half a
-    pixel or more; `reach` pixels with the same bits around them belong to them.
-    """
-    h, w = known.shape
-    steps = np.full((h, w), -1, np.int32)
-    queue = np.empty((h * w, 2), np.int64)
-    head, tail = 0, 0
-    for y in range(h):
-        for x in range(w):
-            if not (is_same(before, after, y, x) and abs(motion[y, x, 0]) + abs(motion[y, x, 1]) >= 0.5):
-                continue
-            for j, i in ((y, x + 1), (y + 1, x), (y, x - 1), (y - 1, x)):
-                if 0 <= j < h and 0 <= i < w and is_same(before, after, j, i) and steps[y, x] < 0:
-                    edge = False
-                    for c in range(3):
-                        size = abs(before[y, x, c]) + abs(before[j, i, c])
-                        edge = edge or abs(before[y, x, c] - before[j, i, c]) > np.float32(0.02) * size
-                    if edge:
-                        steps[y, x] = 0
-                        queue[tail, 0], queue[tail, 1] = y, x
-                        tail += 1
-    while head < tail:
-        y, x = queue[head, 0], queue[head, 1]
-        head += 1
-        known[y, x] = False
-        if steps[y, x] >= reach:
-            continue
-        for j, i in ((y, x + 1), (y + 1, x), (y, x - 1), (y - 1, x)):
-            if 0 <= j < h and 0 <= i < w and steps[j, i] < 0 and is_same(before, after, j, i):
-                steps[j, i] = steps[y, x] + 1
-                queue[tail, 0], queue[tail, 1] = j, i
-                tail += 1
-
-
-@inline
-def is_same(before: np.ndarray, after: np.ndarray, y: int, x: int) -> bool:
-    """Whether a pixel has the same colour in both frames."""
-    return bool(before[y, x, 0] == after[y, x, 0] and before[y, x, 1] == after[y, x, 1]
-                and before[y, x, 2] == after[y, x, 2])
 
 
 @summed
@@ -466,24 +479,3 @@ def is_same_plane(one: np.ndarray, other: np.ndarray) -> bool:
         if one[i] != other[i] and (one[i] == one[i] or other[i] == other[i]):
             return False
     return True
-
-
-def remove_overlay(colour: np.ndarray, overlay: np.ndarray) -> np.ndarray:
-    """The picture under an overlay that was composited over it; black where nothing of it is left."""
-    clear = 1 - overlay[..., 3:]
-    picture = np.zeros_like(colour)
-    np.divide(colour - overlay[..., :3], clear, out=picture, where=clear > 1 - COVERED)
-    return picture
-
-
-def measure_clearness(one: np.ndarray, other: np.ndarray, below: np.ndarray, below_other: np.ndarray) -> np.ndarray:
-    """How much of the picture an overlay lets through (h, w, 1), 0 to 1, by the difference of two frames with and
-    without it: least squares of colour = overlay + clearness * picture over 5x5 pixels, for an overlay that stands
-    still. 1 where the picture does not change, as it makes no difference there."""
-    change, seen = below_other - below, other - one
-    product, square = (local_sum((change * by).sum(-1), 2) for by in (seen, change))
-    clear = np.divide(product, square, out=np.ones_like(square), where=square > 0).clip(0, 1)
-    still = (seen == 0).all(-1) & (change != 0).any(-1)
-    clear[still] = 0  # to the pixel, where nothing comes through
-    found: np.ndarray = clear[..., None]
-    return found

@@ -32,13 +32,22 @@ BETTER = np.float32(1.5)
 ELSE = np.float32(0.5)
 """Share of a depth below which something is another thing, in front. What stands for depth where there is none never
 differs by more."""
-STILL, BETTER_STILL = np.float32(0.01), np.float32(1.75)
+STILL, BETTER_STILL = np.float32(0.01), np.float32(4)
 """Pixels below which a path stands still, and how much better another one must fit than that: it is compared between
 pixels, where noise is averaged."""
 UNSEEN, UNSEEN_NOISE = np.float32(0.12), np.float32(2)
 """What stands for the misfit of a path that cannot be compared: a part that is fixed, and a multiple of the noise's."""
 TRUSTED = np.float32(0.5)
 """Share of that misfit below which a path that was thought unseen is seen after all."""
+TWIST, EVEN = np.float32(0.15), np.float32(0.5)
+"""Change of the way from frame to frame along a pixel from which windows show different things, and pixels by which it
+may be uneven from cell to cell."""
+BEFORE = np.float32(0.85)
+"""Share of the depth of what lies behind a thing that keeps its cell if both frames show it there."""
+ONE_THING = np.float32(0.7)
+"""Share of the difference to what lies behind it up to which a thing in front may differ from frame to frame."""
+MOSTLY = np.float32(0.6)
+"""Share of detail from which what stands still is left as it is."""
 SURE = np.float32(0.7)
 """Share of the paths that arrive at a cell that must be seen by the other frame: a sample of it has cells around."""
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -204,12 +213,19 @@ def misfit(before: np.ndarray, after: np.ndarray, known_before: np.ndarray, know
 
 
 @inline
+def is_still(path: Path) -> bool:
+    """Whether a path stands still."""
+    return bool(max(max(abs(path[0]), abs(path[1])), max(abs(path[2]), abs(path[3]))) < STILL)
+
+
+@inline
 def sharpness(before: np.ndarray, after: np.ndarray, known: np.ndarray, y: Real, x: Real, path: Path, noise: Real
               ) -> Real:
     """Share of what two pictures show around the places of a path that both show, 0 to 1: the rest is noise (Wiener).
     noise: misfit of paths that are right.
 
-    Where a path leads out of a picture, or only one shows it, nothing is known, and it is 1.
+    It is 1 where a path leads out of a picture or only one shows it, as nothing is known, and where most of what stands
+    still is detail, as pixels meet pixels there.
     """
     ay, ax, by, bx = y + path[1], x + path[0], y + path[3], x + path[2]
     if path[4] + path[5] < 2 or not (is_within(known, ay, ax) and is_within(known, by, bx)):
@@ -219,6 +235,37 @@ def sharpness(before: np.ndarray, after: np.ndarray, known: np.ndarray, y: Real,
     there, across_after, down_after = window_at(by, bx, stride)
     apart, common = window_detail(before, at, across, down, after, there, across_after, down_after, stride)
     apart = min(apart, MOST_NOISE * noise * noise * SLOPES)
+    share = max(ONE - apart / common, ZERO) if common > 0 else ONE
+    return ONE if share > MOSTLY and is_still(path) else share
+
+
+@inline
+def turned_sharpness(before: np.ndarray, after: np.ndarray, known: np.ndarray, y: Real, x: Real, cells: np.ndarray,
+                     row: int, column: int, scale: int, noise: Real, above: np.ndarray) -> Real:
+    """The same over 8x6 places whose paths change from place to place as from a cell to the next ones. above (8, 2) is
+    written to."""
+    size, flat = ONE / np.float32(scale), cells.reshape(-1)
+    stride = 8 * cells.shape[1]
+    at = row * stride + 8 * column
+    apart, common, stands = ZERO, ZERO, MOST_NOISE * noise * noise * SLOPES
+    for j in range(ROWS + 1):
+        left, left_after = ZERO, ZERO
+        for i in range(8):
+            down, across = np.float32(j - 0.5 * ROWS), np.float32(i - 3.5)
+            v, u = y + down, x + across
+            down, across = down * size, across * size
+            ax = flat[at] + across * (flat[at + 8] - flat[at]) + down * (flat[at + stride] - flat[at])
+            ay = flat[at + 1] + across * (flat[at + 9] - flat[at + 1]) + down * (flat[at + stride + 1] - flat[at + 1])
+            bx = flat[at + 2] + across * (flat[at + 10] - flat[at + 2]) + down * (flat[at + stride + 2] - flat[at + 2])
+            by = flat[at + 3] + across * (flat[at + 11] - flat[at + 3]) + down * (flat[at + stride + 3] - flat[at + 3])
+            one, other = value_at(before, known, v + ay, u + ax), value_at(after, known, v + by, u + bx)
+            if i and j:
+                right, right_after, under, under_after = one - left, other - left_after, one - above[i, 0], \
+                    other - above[i, 1]
+                apart += (right - right_after) ** 2 + (under - under_after) ** 2
+                common += (right + right_after) ** 2 + (under + under_after) ** 2
+            left, left_after, above[i, 0], above[i, 1] = one, other, one, other
+    apart = min(apart, stands)
     return max(ONE - apart / common, ZERO) if common > 0 else ONE
 
 
@@ -241,12 +288,6 @@ def most_apart(v: Any, side: Any, at: Any, own: Any, place: Any, scale: Any) -> 
     apart = (v.load(side, at) * scale - v.load(own, place)).magnitude()
     pair = apart.part(0, 2).largest(apart.part(2, 2))
     return pair.part(0, 1).largest(pair.part(1, 1)).number(0)
-
-
-@inline
-def is_still(path: Path) -> bool:
-    """Whether a path stands still."""
-    return bool(max(max(abs(path[0]), abs(path[1])), max(abs(path[2]), abs(path[3]))) < STILL)
 
 
 @inline
@@ -282,19 +323,45 @@ def difference(before: np.ndarray, after: np.ndarray, known: np.ndarray, y: Real
     return abs(value_at(before, known, y + path[1], x + path[0]) - value_at(after, known, y + path[3], x + path[2]))
 
 
+@inline
+def contrast(before: np.ndarray, after: np.ndarray, known: np.ndarray, y: Real, x: Real, path: Path, other: Path
+             ) -> Real:
+    """Difference of what two paths show, in the frame where it is less."""
+    one = value_at(before, known, y + path[1], x + path[0]) - value_at(before, known, y + other[1], x + other[0])
+    return min(abs(one), abs(value_at(after, known, y + path[3], x + path[2])
+                             - value_at(after, known, y + other[3], x + other[2])))
+
+
+@inline
+def is_turning(own: np.ndarray, y: int, x: int, size: Real) -> bool:
+    """Whether around a cell one frame is turned or stretched evenly against the other one, by much."""
+    if not (1 <= y < own.shape[0] - 1 and 1 <= x < own.shape[1] - 1):
+        return False
+    most, uneven = ZERO, ZERO
+    for c in range(2):
+        for j, i in ((0, 1), (1, 0)):
+            one, other = own[y - j, x - i, c], own[y + j, x + i, c]
+            after, other_after = own[y - j, x - i, c + 2], own[y + j, x + i, c + 2]
+            most = max(most, abs(other_after - after - other + one))
+            bend, bend_after = one + other - 2 * own[y, x, c], after + other_after - 2 * own[y, x, c + 2]
+            uneven = max(uneven, max(abs(bend), abs(bend_after)))
+    return bool(2 * TWIST * size < most and uneven < EVEN)
+
+
 @compiled
 def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
                  known_after: np.ndarray, own: np.ndarray, first: np.ndarray, last: np.ndarray, ahead: np.ndarray,
-                 back: np.ndarray, mirrored: np.ndarray, depth: np.ndarray, near: np.ndarray, far: np.ndarray, t: Real,
+                 back: np.ndarray, mirrored: np.ndarray, first_depth: np.ndarray, last_depth: np.ndarray,
+                 near: np.ndarray, far: np.ndarray, t: Real,
                  scale: int, noise: Real, cells: np.ndarray) -> None:
     """The path of each cell (rows, columns, 8): its own, or another one around it or of the flow that fits much better;
     the last two numbers are left.
 
     before, after: toned, flat, with margins. known: (h, w), False under overlays. own: (rows, columns, 6).
     first, last: both sides, whose paths around a cell are tried. ahead, back: (rows, columns, 2) flow of both frames to
-    the other one, in pixels, or empty. mirrored: likewise of what the frame after reflects, to the one before. depth:
-    (rows, columns) of what arrived. near, far: (rows, columns, 1) depth of both frames. scale: pixels of a cell. noise:
-    misfit of paths that are right.
+    the other one, in pixels, or empty. mirrored: likewise of what the frame after reflects, to the one before.
+    first_depth, last_depth: (rows, columns) of what arrived of each side. near, far: (rows, columns, 1) depth of both
+    frames. scale: pixels of a cell. noise: misfit of paths that are right.
     """
     h, w = own.shape[:2]
     unseen = UNSEEN + UNSEEN_NOISE * noise
@@ -306,7 +373,12 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
     for y in range(y0, y1):
         for x in range(w):
             mine, v, u = path_of(own, y, x), scale * y + middle, scale * x + middle
+            if mine[4] + mine[5] == 2 and is_turning(own, y, x, size):  # no window that is moved alone can fit
+                for c in range(6):
+                    cells[y, x, c] = mine[c]
+                continue
             taken, tried, is_seen, margin = mine, mine, False, ZERO
+            depth = min(first_depth[y, x], last_depth[y, x])
             better = BETTER_STILL if is_still(mine) else BETTER
             best = np.float32(-2)  # not looked at yet: many cells have no other path around them
             for k in range(count):
@@ -332,17 +404,18 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
                 if path[0] != path[0] or not (differ(path, taken) and differ(path, tried)):
                     continue
                 tried = path
-                beyond = depth[y, x]
+                beyond = depth
                 if k < around:
-                    beyond = depth[j, i]
+                    beyond = first_depth[j, i] if k < steps else last_depth[j, i]
                 elif k < flowing:
                     one = depth_at(near, v + path[1], u + path[0], size)
                     other = depth_at(far, v + path[3], u + path[2], size)
                     if max(one, other) < ELSE * beyond and beyond < FAR:  # two bars that look alike are not one
                         continue
                     beyond = min(one, other)
-                if depth[y, x] < ELSE * beyond and mine[4] + mine[5] == 2:  # the wall fits around a thin bar, not at it
-                    allowed = difference(before, after, known_before, v, u, path) + noise
+                if depth < BEFORE * beyond and mine[4] + mine[5] == 2:  # the wall fits around a thin bar, not at it
+                    allowed = difference(before, after, known_before, v, u, path) + noise \
+                        + ONE_THING * contrast(before, after, known_before, v, u, mine, path)
                     if difference(before, after, known_before, v, u, mine) <= allowed:
                         continue
                 margin = noise if k < around else margin
@@ -369,8 +442,9 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
 def measure_detail(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known: np.ndarray, scale: int,
                    noise: Real, cells: np.ndarray) -> None:
     """How sharp the pictures are at cells, measured once for two by two that follow one path, around their middle. y0
-    is even."""
+    is even. Cells are joined."""
     rows, columns = cells.shape[:2]
+    above = np.empty((8, 2), np.float32)
     middle = np.float32(0.5 * (scale - 1))
     for y in range(y0, y1):
         for x in range(columns):
@@ -380,6 +454,10 @@ def measure_detail(y0: int, y1: int, before: np.ndarray, after: np.ndarray, know
                 if not differ(path, one) and path[4] + path[5] == one[4] + one[5]:
                     cells[y, x, 6] = cells[j, i, 6]
                     continue
+            if cells[y, x, 7] > 1 and y < rows - 1 and x < columns - 1:
+                cells[y, x, 6] = ONE if path[4] + path[5] < 2 else turned_sharpness(
+                    before, after, known, scale * y + middle, scale * x + middle, cells, y, x, scale, noise, above)
+                continue
             at = np.float32(scale - 0.5) if (j, i) == (y, x) else middle
             cells[y, x, 6] = sharpness(before, after, known, scale * y + at, scale * x + at, path, noise)
 

@@ -38,6 +38,13 @@ ROUND = np.float32(0.7)
 """Relative difference of the bends before and after up to which a path is a curve in any case: what turns by 70 degrees
 a frame, or swings."""
 
+EXACT = np.float32(0.05)
+"""Pixels by which motion may differ from one pixel to the next, and there and back, before it matters."""
+ROUNDLY = np.float32(0.1)
+"""Share of the motion by which that of the frame before or after may miss what it is if a thing turns evenly."""
+LEAST_COSINE = np.float32(0.2)
+"""Cosine of the angle by which a thing turns from frame to frame, at least."""
+
 
 @dataclass
 class Paths:
@@ -94,26 +101,32 @@ def splat_paths(paths: Paths, t: float) -> tuple[np.ndarray, np.ndarray]:
 @compiled
 def gather_cells(motion: np.ndarray, depth: np.ndarray, scale: int, most: Real, cell_motion: np.ndarray,
                  cell_depth: np.ndarray) -> None:
-    """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of cells of scale x scale pixels: those of the
-    nearest pixel. Either plane may be empty. Motion beyond `most` pixels, out of any picture, becomes NaN; depth lies
-    between 0 and a miss."""
+    """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of cells of one pixel or 2x2: means of those of
+    the nearest surface. Either plane may be empty. Motion beyond `most` pixels, out of any picture, becomes NaN; depth
+    lies between 0 and a miss."""
     h, w = max(motion.shape[0], depth.shape[0]), max(motion.shape[1], depth.shape[1])
-    size = np.float32(1 / scale)
+    miss, one = np.float32(DEPTH_MISS), np.float32(1)
     for row in range(cell_depth.shape[0]):
+        top, low = row * scale, min(row * scale + scale - 1, h - 1)
         for column in range(cell_depth.shape[1]):
-            y, x, nearest = row * scale, column * scale, np.float32(DEPTH_MISS)
+            left, right, beyond = column * scale, min(column * scale + scale - 1, w - 1), miss
+            p, q, r, s = beyond, beyond, beyond, beyond
             if depth.size:
-                for j in range(row * scale, min((row + 1) * scale, h)):
-                    for i in range(column * scale, min((column + 1) * scale, w)):
-                        if depth[j, i, 0] < nearest:
-                            y, x, nearest = j, i, depth[j, i, 0]
-                nearest = max(nearest, np.float32(1e-6))
-            cell_depth[row, column, 0] = nearest
+                p, q, r, s = depth[top, left, 0], depth[top, right, 0], depth[low, left, 0], depth[low, right, 0]
+                p, q = p if p < miss else miss, q if q < miss else miss  # NaN, too
+                r, s = r if r < miss else miss, s if s < miss else miss
+                nearest = max(min(min(p, q), min(r, s)), np.float32(1e-6))
+                cell_depth[row, column, 0], beyond = nearest, nearest * (1 + ALIKE)
+            else:
+                cell_depth[row, column, 0] = miss
             if motion.size:
-                u, v = motion[y, x, 0], motion[y, x, 1]
-                is_motion = abs(u) <= most and abs(v) <= most
-                cell_motion[row, column, 0] = u * size if is_motion else np.float32(np.nan)
-                cell_motion[row, column, 1] = v * size if is_motion else np.float32(np.nan)
+                u, v, count = np.float32(0), np.float32(0), np.float32(0)
+                for j, i, z in ((top, left, p), (top, right, q), (low, left, r), (low, right, s)):
+                    x, y = motion[j, i, 0], motion[j, i, 1]
+                    if (abs(x) <= most) & (abs(y) <= most) & (z <= beyond):
+                        u, v, count = u + x, v + y, count + one
+                size = one / (count * scale) if count else np.float32(np.nan)
+                cell_motion[row, column, 0], cell_motion[row, column, 1] = u * size, v * size
 
 
 @compiled
@@ -179,6 +192,84 @@ def is_touched(back: np.ndarray, depth: np.ndarray, v: Real, u: Real, fx: Real, 
     return False
 
 
+@inline
+def is_sloping(motion: np.ndarray, v: Real, u: Real) -> bool:
+    """Whether motion around a place changes from pixel to pixel by so much that it matters where it is taken."""
+    h, w = motion.shape[:2]
+    if not ((u >= 0) & (v >= 0) & (u < np.float32(w - 1)) & (v < np.float32(h - 1))):
+        return False
+    j, i = int(v), int(u)
+    return bool(max(abs(motion[j, i, 0] - motion[j + 1, i + 1, 0]), abs(motion[j, i, 1] - motion[j + 1, i + 1, 1]))
+                > EXACT or max(abs(motion[j, i + 1, 0] - motion[j + 1, i, 0]),
+                               abs(motion[j, i + 1, 1] - motion[j + 1, i, 1])) > EXACT)
+
+
+@inline
+def sample_two(motion: np.ndarray, v: Real, u: Real) -> tuple[bool, Real, Real, Real, Real, Real, Real]:
+    """Whether motion goes on evenly between the four pixels around a place, the motion there, and its slopes: of x and
+    of y to the right, of x and of y down."""
+    h, w = motion.shape[:2]
+    zero, one = np.float32(0), np.float32(1)
+    if not ((u >= zero) & (v >= zero) & (u < np.float32(w - 1)) & (v < np.float32(h - 1))):
+        return False, zero, zero, zero, zero, zero, zero
+    j, i = int(v), int(u)
+    y, x = np.float32(v - j), np.float32(u - i)
+    p, q, r, s = motion[j, i, 0], motion[j, i + 1, 0], motion[j + 1, i, 0], motion[j + 1, i + 1, 0]
+    a, b, c, d = motion[j, i, 1], motion[j, i + 1, 1], motion[j + 1, i, 1], motion[j + 1, i + 1, 1]
+    most = max(max(max(abs(q - p), abs(s - r)), max(abs(r - p), abs(s - q))),
+               max(max(abs(b - a), abs(d - c)), max(abs(c - a), abs(d - b))))
+    right, across = q - p + y * (s - r - q + p), b - a + y * (d - c - b + a)
+    down, under = r - p + x * (s - r - q + p), c - a + x * (d - c - b + a)
+    return most <= one, p + x * (q - p) + y * down, a + x * (b - a) + y * under, right, across, down, under
+
+
+@compiled
+def refine(y0: int, y1: int, motion: np.ndarray, inverse: np.ndarray) -> None:
+    """Lead motion that was inverted for whole pixels to the places between them whose motion leads back: one step of
+    Newton's method, where motion goes on evenly."""
+    h, w = inverse.shape[:2]
+    one = np.float32(1)
+    for y in range(y0, y1):
+        for x in range(w):
+            fx, fy = inverse[y, x, 0], inverse[y, x, 1]
+            if not is_sloping(motion, y + fy, x + fx):
+                continue
+            is_even, mx, my, right, across, down, under = sample_two(motion, y + fy, x + fx)
+            dx, dy = fx + mx, fy + my
+            if is_even and EXACT < max(abs(dx), abs(dy)) <= one:
+                a, d = one + right, one + under
+                area = a * d - down * across
+                if abs(area) > np.float32(0.2):
+                    inverse[y, x, 0] = fx - (d * dx - down * dy) / area
+                    inverse[y, x, 1] = fy - (a * dy - across * dx) / area
+
+
+@inline
+def swing_of(cosine: Real) -> Real:
+    """How many times as far as a polynomial through four places what swings or turns leaves the chord: by the cosine of
+    its angle from frame to frame."""
+    half = np.sqrt(np.float32(0.5) + np.float32(0.5) * min(max(cosine, LEAST_COSINE), np.float32(1)))
+    return 2 / ((1 + half) * half)
+
+
+@inline
+def go_round(motion: np.ndarray, y: int, x: int, cx: Real, cy: Real, gx: Real, gy: Real
+             ) -> tuple[int, Real, Real, Real, Real]:
+    """How many sides are known, and motion on both: to the frame further back and to the one further ahead, of which
+    one is given. Where it is what this motion becomes if all goes round one point, so is the other one."""
+    mx, my = motion[y, x, 0], motion[y, x, 1]
+    is_even, _, _, right, across, down, under = sample_two(motion, np.float32(y), np.float32(x))
+    a, d = 1 + right, 1 + under
+    area = a * d - down * across
+    if is_even and area > np.float32(0.5):
+        px, py = a * mx + down * my, across * mx + d * my
+        qx, qy = (down * my - d * mx) / area, (across * mx - a * my) / area
+        miss = max(abs(cx - px), abs(cy - py)) if cx > -LOST else max(abs(gx - qx), abs(gy - qy))
+        if miss <= ROUNDLY * max(abs(mx), abs(my)):
+            return 2, px, py, qx, qy
+    return 1, cx, cy, gx, gy
+
+
 @compiled
 def lead_back(y0: int, y1: int, motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray,
               depth_after: np.ndarray, came: np.ndarray, goes: np.ndarray, ends: np.ndarray, bend: np.ndarray,
@@ -198,17 +289,29 @@ def lead_back(y0: int, y1: int, motion: np.ndarray, ahead: np.ndarray, depth_bef
             same = abs(ahead[j, i, 0] + mx) <= SEEN and abs(ahead[j, i, 1] + my) <= SEEN
             if same and not is_touched(ahead, depth_before, v - half, u - half, mx, my, depth_after[y, x, 0]):
                 seen[y, x] = 1
-            bx, by, count = np.float32(0), np.float32(0), 0
-            ax, ay = np.float32(0), np.float32(0)
+            cx, cy, gx, gy, count = -LOST, -LOST, LOST, LOST, 0
             if came.size and same:
-                bx, by, count = came[j, i, 0] - mx, came[j, i, 1] - my, 1
+                cx, cy, count = came[j, i, 0], came[j, i, 1], 1
+                if is_sloping(came, v - half, u - half):
+                    is_even, cu, cv, _, _, _, _ = sample_two(came, v - half, u - half)
+                    cx, cy = (cu, cv) if is_even else (cx, cy)
             if goes.size and goes[y, x, 0] < LOST:
-                ax, ay = goes[y, x, 0] + mx - bx, goes[y, x, 1] + my - by
-                bx, by, count = bx + goes[y, x, 0] + mx, by + goes[y, x, 1] + my, count + 1
-            size = abs(bx) + abs(by)
+                gx, gy, count = goes[y, x, 0], goes[y, x, 1], count + 1
+            if count == 1:
+                count, cx, cy, gx, gy = go_round(motion, y, x, cx, cy, gx, gy)
+            bx, by, ax, ay = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+            if cx > -LOST:
+                bx, by = cx - mx, cy - my
+            if gx < LOST:
+                ax, ay = gx + mx - bx, gy + my - by
+                bx, by = bx + gx + mx, by + gy + my
+            size, length = abs(bx) + abs(by), mx * mx + my * my
             is_round = count == 2 and abs(ax) + abs(ay) <= ROUND * size  # on both sides it bends the same way
             if count and (is_round or size <= SPRUNG * (abs(mx) + abs(my)) * count):
-                bend[y, x, 0], bend[y, x, 1] = half * bx / count, half * by / count
+                share = half / count
+                if count == 2 and length > 1:  # x'' = -w w x: both neighbours' sum is 2 cos w times the motion
+                    share *= swing_of(1 - (ax * mx + ay * my) / (2 * length))
+                bend[y, x, 0], bend[y, x, 1] = share * bx, share * by
 
 
 @compiled
@@ -226,6 +329,10 @@ def lead_ahead(y0: int, y1: int, ahead: np.ndarray, motion: np.ndarray, depth_be
                 i, j = min(max(int(x + fx + half), 0), w - 1), min(max(int(y + fy + half), 0), h - 1)
                 if abs(motion[j, i, 0] + fx) <= SEEN and abs(motion[j, i, 1] + fy) <= SEEN:  # else a filled crack
                     bend[y, x, 0], bend[y, x, 1] = bend_after[j, i, 0], bend_after[j, i, 1]
+                    if is_sloping(bend_after, y + fy, x + fx):
+                        is_even, bx, by, _, _, _, _ = sample_two(bend_after, y + fy, x + fx)
+                        if is_even:
+                            bend[y, x, 0], bend[y, x, 1] = bx, by
                     if not is_touched(motion, depth_after, y + fy, x + fx, fx, fy, depth_before[y, x, 0]):
                         seen[y, x] = 1
             else:

@@ -1,4 +1,4 @@
-"""Which frames a sequence gets when frames are put between its own: times, numbers, frame rate and time code.
+"""Which frames a sequence gets when frames are put between its own: times, numbers, frame rate, time code and camera.
 
 Time codes are those of SMPTE ST 12-1 as OpenEXR stores them: hours, minutes, seconds and frames as decimal digits of 4
 bits in one word. Above 30 frames a second, frames are counted in pairs and a bit tells the second one of a pair.
@@ -11,6 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from postfx.errors import OptionError
 
@@ -183,3 +185,25 @@ def _digits(word: int, first: int, last: int) -> int:
     """Two decimal digits in these bits."""
     value = word >> first & ((1 << (last - first)) - 1)
     return (value >> 4) * 10 + (value & 15)
+
+
+def camera_between(one: np.ndarray | None, other: np.ndarray | None, t: float) -> np.ndarray | None:
+    """World to camera (4, 4) at a time between two: turned about one axis, and moved straight. None where there is
+    none."""
+    if one is None or other is None:
+        return None
+    try:
+        first, last = np.linalg.inv(one), np.linalg.inv(other)
+        turn = np.linalg.inv(first[:3, :3]) @ last[:3, :3]
+        angle = math.acos(min(max((np.trace(turn) - 1) / 2, -1), 1))
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or angle > 3:
+            return None
+        axis = (turn - turn.T) / (2 * math.sin(angle)) if angle > 1e-9 else np.zeros((3, 3))
+        part = np.eye(3) + math.sin(t * angle) * axis + (1 - math.cos(t * angle)) * axis @ axis  # Rodrigues
+        camera = first.copy()
+        camera[:3, :3] = first[:3, :3] @ part
+        camera[3] = (1 - t) * first[3] + t * last[3]
+        found: np.ndarray = np.linalg.inv(camera)
+    except np.linalg.LinAlgError:
+        return None
+    return found

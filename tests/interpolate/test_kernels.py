@@ -129,3 +129,14 @@ def test_depth_is_that_of_the_pixels_cell():
     places = {(0, 0): 0, (1, 1): 0, (2, 3): 5, (-3, 5): 2, (4, -1): 8, (9, 9): 11}
     for (y, x), wanted in places.items():
         assert choose.depth_at(depth, np.float32(y), np.float32(x), np.float32(2)) == wanted
+
+
+def test_inverted_motion_is_led_to_where_motion_leads_back():
+    """Of a picture that turns by 40 degrees, away from its edges."""
+    y, x = np.indices((40, 40)) - 19.5
+    turn = np.radians(40)
+    motion = np.stack([x * np.cos(turn) - y * np.sin(turn) - x, x * np.sin(turn) + y * np.cos(turn) - y], -1)
+    wanted = np.stack([x * np.cos(turn) + y * np.sin(turn) - x, y * np.cos(turn) - x * np.sin(turn) - y], -1)
+    inverse = (wanted + np.random.default_rng(3).uniform(-0.4, 0.4, wanted.shape)).astype(np.float32)
+    paths.refine(0, 40, motion.astype(np.float32), inverse)
+    assert np.abs(inverse - wanted)[np.hypot(y, x) < 16].max() < 0.06
