@@ -31,7 +31,7 @@ __device__ inline void wait_for_copies() {
 }
 #endif
 
-const int NEURAL_THREADS = 256, NEURAL_POINTS = 64, NEURAL_LAYERS = 5, SLACK = 16;
+const int NEURAL_POINTS = 64, SLACK = 16;
 
 __device__ inline int padded(int size) {
     return (size + 7) / 8 * 8;
@@ -46,16 +46,17 @@ __device__ inline int stride_of(int size) {
 // of their parameters in the shared memory, and of these in the tensor.
 struct Network {
     int layers, inputs, encoded, bands, activation, widest;
-    int size[NEURAL_LAYERS + 1], rows[NEURAL_LAYERS + 2], space[NEURAL_LAYERS + 1], count[NEURAL_LAYERS + 1];
+    int size[MOST_LAYERS + 1], rows[MOST_LAYERS + 2], space[MOST_LAYERS + 1], count[MOST_LAYERS + 1];
 };
 
 __device__ inline void read_network(const View& view, Network& net) {
     const float* const at = view.at;
     if (threadIdx.x == 0) {
-        net.layers = int(at[0]), net.inputs = int(at[1]), net.encoded = max(int(at[2]), 1), net.bands = int(at[3]);
-        net.activation = int(at[4]), net.widest = net.rows[0] = net.space[0] = net.count[0] = 0;
+        net.layers = int(at[LAYERS]), net.inputs = int(at[INPUTS]);
+        net.encoded = max(int(at[ENCODED]), 1), net.bands = int(at[BANDS]);
+        net.activation = int(at[ACTIVATION]), net.widest = net.rows[0] = net.space[0] = net.count[0] = 0;
         for (int layer = 0; layer <= net.layers; layer++) {
-            const int size = net.size[layer] = int(at[5 + layer]);
+            const int size = net.size[layer] = int(at[SIZES + layer]);
             net.rows[layer + 1] = net.rows[layer] + stride_of(size);
             net.widest = max(net.widest, stride_of(size));
             if (layer == 0) continue;
@@ -85,7 +86,7 @@ __device__ inline Layer layer_of(const Network& net, int layer, float* at, bool 
 __device__ inline void load_layers(const Network& net, float* parameters, float* shared) {
     for (int layer = 0; layer < net.layers; layer++) {
         const Layer from = layer_of(net, layer, parameters, false), to = layer_of(net, layer, shared, true);
-        for (int j = threadIdx.x / 32; j < padded(to.makes); j += NEURAL_THREADS / 32) {
+        for (int j = threadIdx.x / 32; j < padded(to.makes); j += THREADS / 32) {
             for (int i = threadIdx.x % 32; i < to.stride; i += 32) {
                 float* const at = to.weights + j * to.stride + i;
                 if (j < to.makes && i < to.reads) {
@@ -101,13 +102,13 @@ __device__ inline void load_layers(const Network& net, float* parameters, float*
 }
 
 __device__ inline float activated(int kind, float z) {
-    if (kind == 0) return fmaxf(z, 0.0f);
-    return kind == 1 ? 0.5f * z * (1.0f + erff(z * 0.7071067811865476f)) : sinf(z);
+    if (kind == RELU) return fmaxf(z, 0.0f);
+    return kind == GELU ? 0.5f * z * (1.0f + erff(z * 0.7071067811865476f)) : sinf(z);
 }
 
 __device__ inline float slope_of(int kind, float z) {
-    if (kind == 0) return z > 0.0f ? 1.0f : 0.0f;
-    if (kind == 2) return cosf(z);
+    if (kind == RELU) return z > 0.0f ? 1.0f : 0.0f;
+    if (kind == SINE) return cosf(z);
     const float bell = 0.3989422804014327f * expf(-0.5f * z * z);
     return 0.5f * (1.0f + erff(z * 0.7071067811865476f)) + z * bell;
 }
@@ -115,7 +116,7 @@ __device__ inline float slope_of(int kind, float z) {
 // What the first layer reads of `count` points; 0 beside it and for the others of `most`.
 __device__ inline void encode_points(const Network& net, const float* points, int count, int most, float* rows) {
     const int size = net.size[0], wide = padded(size), stride = stride_of(size), inputs = net.inputs;
-    for (int k = threadIdx.x; k < count * inputs; k += NEURAL_THREADS) {
+    for (int k = threadIdx.x; k < count * inputs; k += THREADS) {
         copy_number(rows + k / inputs * stride + k % inputs, points + k);
     }
     wait_for_copies();
@@ -123,13 +124,13 @@ __device__ inline void encode_points(const Network& net, const float* points, in
     for (int column = threadIdx.x % 32; column < wide; column += 32) {
         const int feature = column - inputs, pair = feature / 2, input = feature < 0 ? 0 : pair % net.encoded;
         const float factor = feature < 0 ? 1.0f : float(1 << pair / net.encoded);
-        for (int p = threadIdx.x / 32; p < most; p += NEURAL_THREADS / 32) {
+        for (int p = threadIdx.x / 32; p < most; p += THREADS / 32) {
             const bool there = p < count && column < size;
             if (there && feature < 0) continue;
             float value = 0.0f;
             if (there) {
                 const float turns = rows[p * stride + input] * factor;
-                const float whole = floorf(turns + 0.5f), angle = (turns - whole) * 3.14159265358979f;
+                const float whole = floorf(turns + 0.5f), angle = (turns - whole) * PI;
                 const float sign = whole * 0.5f == floorf(whole * 0.5f) ? 1.0f : -1.0f;
                 value = sign * (feature % 2 ? cosf(angle) : sinf(angle));
             }
@@ -218,7 +219,7 @@ __device__ inline void run_layer(const Layer& layer, const float* from, int poin
                                  float* slopes) {
     const int tiles = points / 16, wide = (layer.makes + 31) / 32, lane = threadIdx.x % 32;
     const int reads = stride_of(layer.reads), stride = stride_of(layer.makes);
-    for (int tile = threadIdx.x / 32; tile < tiles * wide; tile += NEURAL_THREADS / 32) {
+    for (int tile = threadIdx.x / 32; tile < tiles * wide; tile += THREADS / 32) {
         const int p = tile % tiles * 16, j = tile / tiles * 32;
         float sums[4][4];
 #pragma unroll
@@ -263,7 +264,7 @@ __device__ inline void run_all(const Network& net, float* weights, View points, 
             to = from;
             from = made;
         }
-        for (int k = threadIdx.x; k < count * outputs; k += NEURAL_THREADS) {
+        for (int k = threadIdx.x; k < count * outputs; k += THREADS) {
             values.at[size_t(first) * outputs + k] = from[k / outputs * stride + k % outputs];
         }
         __syncthreads();
@@ -272,7 +273,7 @@ __device__ inline void run_all(const Network& net, float* weights, View points, 
 
 // network (12,), parameters (count,), points (points, inputs) -> values (points, outputs): a block for every so many 64
 // points.
-extern "C" __global__ void __launch_bounds__(256) neural_forward(View network, View parameters, View points,
+extern "C" __global__ void __launch_bounds__(THREADS) neural_forward(View network, View parameters, View points,
                                                                  View values) {
     __shared__ Network net;
     read_network(network, net);
@@ -291,7 +292,7 @@ __device__ inline void pull_back(const Layer& layer, const Layer& sums, const fl
                                  float* slopes, int points, float* pulls, int count, int inputs) {
     const int high = (layer.makes + 15) / 16, wide = (layer.reads + 31) / 32, tiles = slopes || pulls ? points / 16 : 0;
     const int read_stride = stride_of(layer.reads), made_stride = stride_of(layer.makes);
-    for (int tile = threadIdx.x / 32; tile < (high + tiles) * wide; tile += NEURAL_THREADS / 32) {
+    for (int tile = threadIdx.x / 32; tile < (high + tiles) * wide; tile += THREADS / 32) {
         float found[4][4] = {};
         const int i = tile % wide * 32, row = tile / wide * 16;
         if (row < 16 * high) {
@@ -315,7 +316,7 @@ __device__ inline void pull_back(const Layer& layer, const Layer& sums, const fl
             });
         }
     }
-    for (int first = 0; first < layer.makes; first += NEURAL_THREADS / 4) {  // four threads share a bias
+    for (int first = 0; first < layer.makes; first += THREADS / 4) {  // four threads share a bias
         const int j = first + threadIdx.x / 4;
         float total = 0.0f;
         for (int p = threadIdx.x % 4; p < points && j < layer.makes; p += 4) total += deltas[p * made_stride + j];
@@ -347,10 +348,10 @@ __device__ inline void learn_group(const Network& net, float* weights, float* su
                 run_layer(layer, reads, most, -1, slopes, nullptr);
             }
         }
-        for (int p = threadIdx.x; p < most; p += NEURAL_THREADS) {
+        for (int p = threadIdx.x; p < most; p += THREADS) {
             const float* const target = targets.at + size_t(first + p) * outputs;
             bool known = p < count;
-            for (int j = 0; j < outputs; j++) known = known && fabsf(target[j]) <= 3.4028234664e38f;
+            for (int j = 0; j < outputs; j++) known = known && fabsf(target[j]) <= LARGEST_FLOAT;
             for (int j = 0; j < outputs; j++) {
                 const float difference = known ? result[p * stride + j] - target[j] : 0.0f;
                 error += double(difference) * difference;
@@ -370,9 +371,9 @@ __device__ inline void learn_group(const Network& net, float* weights, float* su
 
 // network (12,), parameters (count,), points (points, inputs), targets (points, outputs) -> partials (groups, count +
 // 1), and pulls (points, inputs) or (1, inputs): a block for a group.
-extern "C" __global__ void __launch_bounds__(256) neural_gradients(View network, View parameters, View points,
+extern "C" __global__ void __launch_bounds__(THREADS) neural_gradients(View network, View parameters, View points,
                                                                    View targets, View partials, View pulls) {
-    __shared__ double errors[NEURAL_THREADS];
+    __shared__ double errors[THREADS];
     __shared__ Network net;
     read_network(network, net);
     const int groups = partials.size[0], sums = partials.size[1], group = blockIdx.y;
@@ -388,19 +389,19 @@ extern "C" __global__ void __launch_bounds__(256) neural_gradients(View network,
     if (used + 2 * space <= room) {
         float *const weights = memory + used, *const found = weights + space;
         load_layers(net, parameters.at, weights);
-        for (int k = threadIdx.x; k < space; k += NEURAL_THREADS) found[k] = 0.0f;
+        for (int k = threadIdx.x; k < space; k += THREADS) found[k] = 0.0f;
         learn_group<true>(net, weights, found, most, points, targets, pulls, begin, end, error);
         for (int index = 0; index < net.layers; index++) {
             const Layer from = layer_of(net, index, found, true), to = layer_of(net, index, gradients, false);
-            for (int j = threadIdx.x / 32; j < to.makes; j += NEURAL_THREADS / 32) {
+            for (int j = threadIdx.x / 32; j < to.makes; j += THREADS / 32) {
                 for (int i = threadIdx.x % 32; i < to.reads; i += 32) {
                     to.weights[j * to.reads + i] = from.weights[j * from.stride + i];
                 }
             }
-            for (int k = threadIdx.x; k < to.makes; k += NEURAL_THREADS) to.biases[k] = from.biases[k * from.step];
+            for (int k = threadIdx.x; k < to.makes; k += THREADS) to.biases[k] = from.biases[k * from.step];
         }
     } else {
-        for (int k = threadIdx.x; k < sums - 1; k += NEURAL_THREADS) gradients[k] = 0.0f;
+        for (int k = threadIdx.x; k < sums - 1; k += THREADS) gradients[k] = 0.0f;
         __syncthreads();
         learn_group<false>(net, parameters.at, gradients, most, points, targets, pulls, begin, end, error);
     }
@@ -426,18 +427,18 @@ __device__ inline void adam_step(float gradient, const View& hyper, float* row, 
 
 // partials (groups, count + 1), hyper (4,), parameters (count,), moments (count, 3): the last two change in place. A
 // block for 8 parameters, 32 of whose threads share a parameter's groups.
-extern "C" __global__ void __launch_bounds__(256) neural_adam(View partials, View hyper, View parameters,
+extern "C" __global__ void __launch_bounds__(THREADS) neural_adam(View partials, View hyper, View parameters,
                                                               View moments) {
-    __shared__ float parts[NEURAL_THREADS];
+    __shared__ float parts[THREADS];
     const int count = moments.size[0], y = blockIdx.y * 8 + threadIdx.x % 8;
     float gradient = 0.0f;
-    for (int group = threadIdx.x / 8; y < count && group < partials.size[0]; group += NEURAL_THREADS / 8) {
+    for (int group = threadIdx.x / 8; y < count && group < partials.size[0]; group += THREADS / 8) {
         gradient += partials.at[size_t(group) * (count + 1) + y];
     }
     parts[threadIdx.x] = gradient;
     __syncthreads();
     if (threadIdx.x >= 8 || y >= count) return;
-    for (int k = 8 + threadIdx.x; k < NEURAL_THREADS; k += 8) gradient += parts[k];
+    for (int k = 8 + threadIdx.x; k < THREADS; k += 8) gradient += parts[k];
     adam_step(gradient, hyper, moments.at + 3 * size_t(y), parameters.at[y]);
 }
 
@@ -449,7 +450,7 @@ struct Corner {
 // A corner of the cell of a grid's level that a point lies in.
 __device__ inline Corner corner_of(const View& grid, int level, const float* point, int corner) {
     const unsigned primes[3] = {1u, 2654435761u, 805459861u};
-    const int dims = int(grid.at[0]), entries = int(grid.at[2]), side = int(grid.at[4 + level]);
+    const int dims = int(grid.at[DIMS]), entries = int(grid.at[ENTRIES]), side = int(grid.at[SIDES + level]);
     long long corners = 1;
     for (int axis = 0; axis < dims; axis++) corners *= side + 1;
     unsigned entry = 0, step = 1;
@@ -472,7 +473,7 @@ __device__ inline Corner corner_of(const View& grid, int level, const float* poi
 // grid (20,), table (levels, entries * numbers), points (points, dims + others) -> rows (points, levels * numbers +
 // others).
 extern "C" __global__ void neural_grid(View grid, View table, View points, View rows) {
-    const int dims = int(grid.at[0]), numbers = int(grid.at[1]), levels = int(grid.at[3]);
+    const int dims = int(grid.at[DIMS]), numbers = int(grid.at[NUMBERS]), levels = int(grid.at[LEVELS]);
     PIXEL(rows.size[1], rows.size[0]);
     const float* const point = points.at + size_t(y) * points.size[1];
     const int level = x / numbers;
@@ -487,17 +488,17 @@ extern "C" __global__ void neural_grid(View grid, View table, View points, View 
 
 // grid (20,), points (points, dims + others), pulls (points, inputs) -> sums (levels, entries * numbers) int64, in
 // units of 2^-44: a block for a level.
-extern "C" __global__ void __launch_bounds__(256) neural_grid_pull(View grid, View points, View pulls, View sums) {
-    const int dims = int(grid.at[0]), numbers = int(grid.at[1]), level = blockIdx.y;
+extern "C" __global__ void __launch_bounds__(THREADS) neural_grid_pull(View grid, View points, View pulls, View sums) {
+    const int dims = int(grid.at[DIMS]), numbers = int(grid.at[NUMBERS]), level = blockIdx.y;
     unsigned long long* const row = reinterpret_cast<unsigned long long*>(sums.at) + size_t(level) * sums.size[1];
-    for (int k = threadIdx.x; k < sums.size[1]; k += NEURAL_THREADS) row[k] = 0;
+    for (int k = threadIdx.x; k < sums.size[1]; k += THREADS) row[k] = 0;
     __syncthreads();
-    for (int p = threadIdx.x; p < points.size[0]; p += NEURAL_THREADS) {
+    for (int p = threadIdx.x; p < points.size[0]; p += THREADS) {
         const float* const pull = pulls.at + size_t(p) * pulls.size[1] + level * numbers;
         for (int corner = 0; corner < 1 << dims; corner++) {
             const Corner found = corner_of(grid, level, points.at + size_t(p) * points.size[1], corner);
             for (int k = 0; k < numbers; k++) {
-                const long long units = llrint(double(found.share * pull[k]) * 17592186044416.0);
+                const long long units = llrint(double(found.share * pull[k]) * UNITS);
                 if (units) atomicAdd(row + found.entry * numbers + k, (unsigned long long)(units));
             }
         }
@@ -511,6 +512,6 @@ extern "C" __global__ void neural_grid_step(View sums, View hyper, View table, V
     const size_t at = size_t(y) * table.size[1] + x;
     const long long units = reinterpret_cast<const long long*>(sums.at)[at];
     if (units == 0) return;
-    const float gradient = float(double(units) / 17592186044416.0);
+    const float gradient = float(double(units) / UNITS);
     adam_step(gradient, hyper, moments.at + 3 * at, table.at[at]);
 }

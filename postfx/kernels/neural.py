@@ -41,10 +41,12 @@ ACTIVATIONS = ("relu", "gelu", "sine")
 RELU, GELU, SINE = range(3)
 STRIPS = 8
 """Strips whose layers are kept until their gradients are summed: few enough for a core's cache."""
+THREADS = 256
+"""Of a block on a GPU."""
 MOST_LEVELS = 16
 DIMS, NUMBERS, ENTRIES, LEVELS, SIDES = range(5)
 PRIMES = (1, 2654435761, 805459861)
-UNITS = 2.0 ** 44
+UNITS = np.float64(2**44)
 ZERO, HALF, ONE, PI = np.float32(0), np.float32(0.5), np.float32(1), np.float32(np.pi)
 
 
@@ -394,20 +396,19 @@ def grid_step_rows(y0: int, y1: int, sums: np.ndarray, hyper: np.ndarray, table:
 
 _SHAPES: dict[str, tuple[int | str, ...]] = {
     "network": (FACTS,), "parameters": ("count",), "points": ("points", "inputs")}
-_THREADS = 256
 FORWARD = Kernel(
     "neural_forward", ("network", "parameters", "points"), ("values",), forward_rows, ("values", 0),
-    {**_SHAPES, "values": ("points", "outputs")}, blocks=Blocks(64, _THREADS, 112 << 10, 264))
+    {**_SHAPES, "values": ("points", "outputs")}, blocks=Blocks(64, THREADS, 112 << 10, 264))
 GRADIENTS = Kernel(
     "neural_gradients", ("network", "parameters", "points", "targets"), ("partials", "pulls"), gradient_rows,
     ("partials", 0),
     {**_SHAPES, "targets": ("points", "outputs"), "partials": ("groups", "sums"), "pulls": ("pulled", "inputs")},
-    blocks=Blocks(1, _THREADS, 224 << 10))
+    blocks=Blocks(1, THREADS, 224 << 10))
 ADAM = Kernel(
     "neural_adam", ("partials", "hyper", "parameters", "moments"), ("parameters", "moments"), adam_rows,
     ("moments", 0),
     {"partials": ("groups", "sums"), "hyper": (4,), "parameters": ("count",), "moments": ("count", 3)},
-    blocks=Blocks(8, _THREADS))
+    blocks=Blocks(8, THREADS))
 _GRID: dict[str, tuple[int | str, ...]] = {
     "grid": (SIDES + MOST_LEVELS,), "table": ("levels", "entries"), "points": ("points", "axes"),
     "sums": ("levels", "entries"), "moments": ("levels", "entries", 3), "hyper": (4,)}
@@ -417,7 +418,7 @@ GRID = Kernel(
 GRID_PULL = Kernel(
     "neural_grid_pull", ("grid", "points", "pulls"), ("sums",), grid_pull_rows, ("sums", 0),
     {**{name: _GRID[name] for name in ("grid", "points", "sums")}, "pulls": ("points", "inputs")}, {"sums": "int64"},
-    blocks=Blocks(1, _THREADS))
+    blocks=Blocks(1, THREADS))
 GRID_STEP = Kernel(
     "neural_grid_step", ("sums", "hyper", "table", "moments"), ("table", "moments"), grid_step_rows, ("table", 0),
     {name: _GRID[name] for name in ("sums", "hyper", "table", "moments")}, {"sums": "int64"})
