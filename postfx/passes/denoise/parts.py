@@ -417,8 +417,8 @@ def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
 
 
 def mean_stops(light: np.ndarray) -> float | None:
-    """log2 of the mean light of every eighth row; None without any. By a mean of logarithms, sparse light, most of whose
-    pixels are dark, would be overexposed."""
+    """log2 of the mean light of every eighth row; None without any. By a mean of logarithms, sparse light, most of
+    whose pixels are dark, would be overexposed."""
     rows = light[::STEP]
     seen = rows[np.isfinite(rows)]
     total = float(seen.sum(dtype=np.float64))
