@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import postfx
-from postfx.doctor.pictures import picture
+from postfx.doctor.inspection import picture
 from postfx.frame import Role
 
 PLANES = (Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH, Role.MOTION, Role.ROUGHNESS)

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from postfx.doctor.pictures import contact_sheet
+from postfx.doctor.inspection import contact_sheet
 from postfx.errors import CommandError, SequenceError, WriteError
 from postfx.frame import Frame
 from postfx.io.writer import check_folder

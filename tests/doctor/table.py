@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from postfx.doctor.inspection import picture
 from postfx.doctor.motion_variants import VARIANTS
-from postfx.doctor.pictures import picture
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from tests.doctor.breakages import BREAKAGES

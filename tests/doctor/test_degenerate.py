@@ -9,8 +9,8 @@ from postfx.doctor import material as material_module
 from postfx.doctor import plane_checks as planes
 from postfx.doctor.alignment import compare_edges
 from postfx.doctor.geometry import are_scaled, are_unit, motion_of_camera, smooth_points
+from postfx.doctor.inspection import picture
 from postfx.doctor.material import Material, read_material
-from postfx.doctor.pictures import picture
 from postfx.frame import DEPTH_MISS, ROLES, Frame, Role
 from postfx.io.sequence import read_sequence
 from tests.doctor.conftest import ROOM
