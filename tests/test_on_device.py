@@ -116,13 +116,39 @@ def test_arrays_of_a_device_stay_there(far, how, monkeypatch):
 
 
 def test_an_interface_without_a_stream_leaves_the_waiting_to_dlpack(far):
-    """As PyTorch's, whose kernels may still write the array."""
+    """Kernels of its producer may still write the array."""
     array = There(PLANES[Role.COLOUR])
     del array.__cuda_array_interface__["stream"]
     assert np.array_equal(far.wrap("colour", array).download(), array.array) and array.streams == [7]
     only = There(PLANES[Role.COLOUR], how=("cuda",))
     del only.__cuda_array_interface__["stream"]
     assert np.array_equal(far.wrap("colour", only).download(), only.array)
+
+
+def test_tensors_of_pytorch_are_looked_at(far, monkeypatch):
+    """What PyTorch's current stream has to do is waited for, without its slow DLPack."""
+    torch = pytest.importorskip("torch")
+
+    class Far(torch.Tensor):
+        __dlpack__ = None
+
+        def __dlpack_device__(self):
+            return 2, 0
+
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda index: type("Stream", (), {"cuda_stream": 40 + index}))
+    plane = torch.rand(4, 5, 3)
+    for given, dtype in ((plane, "float32"), (plane[1:].half(), "float16"), (plane.bfloat16()[:0], "bfloat16")):
+        del far.memory.followed[:]
+        tensor = far.wrap("x", given.as_subclass(Far))
+        assert (tensor.shape, tensor.dtype, far.memory.followed) == (tuple(given.shape), dtype, [40])
+        assert tensor.start == given.data_ptr()
+    tensor = far.wrap("x", plane.clone().as_subclass(Far))  # which nobody else keeps alive
+    gc.collect()
+    assert np.array_equal(tensor.download(), plane.numpy())
+    for wrong, message in ((plane.transpose(0, 1), "do not lie in order"), (plane.clone().requires_grad_(), "detach"),
+                           (torch.rand(3, dtype=torch.complex64), "cannot be of type complex64")):
+        with pytest.raises(BindingError, match=message):
+            far.wrap("x", wrong.as_subclass(Far))
 
 
 def test_exposure_by_the_meter_and_planes_that_no_pass_reads():
@@ -301,6 +327,7 @@ def test_tensors_of_pytorch_on_a_gpu():
         torch.from_dlpack(found)
         times.append(time.perf_counter() - begin)
     print(f"sharing {len(planes)} planes of PyTorch and a result: {1e3 * statistics.median(times):.3f} ms")
+    assert statistics.median(times) < 1e-4
     large = torch.randn(4096, 4096, device="cuda")
     for _ in range(3):  # our stream waits for what PyTorch's still has to do
         late = large

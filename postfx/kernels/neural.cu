@@ -101,13 +101,12 @@ __device__ inline void load_layers(const Network& net, float* parameters, float*
     }
 }
 
+// GELU and sine; a ReLU is made where the sums are.
 __device__ inline float activated(int kind, float z) {
-    if (kind == RELU) return fmaxf(z, 0.0f);
     return kind == GELU ? 0.5f * z * (1.0f + erff(z * 0.7071067811865476f)) : sinf(z);
 }
 
 __device__ inline float slope_of(int kind, float z) {
-    if (kind == RELU) return z > 0.0f ? 1.0f : 0.0f;
     if (kind == SINE) return cosf(z);
     const float bell = 0.3989422804014327f * expf(-0.5f * z * z);
     return 0.5f * (1.0f + erff(z * 0.7071067811865476f)) + z * bell;
@@ -119,23 +118,20 @@ __device__ inline void encode_points(const Network& net, const float* points, in
     for (int k = threadIdx.x; k < count * inputs; k += THREADS) {
         copy_number(rows + k / inputs * stride + k % inputs, points + k);
     }
+    for (int p = threadIdx.x / 32; p < most; p += THREADS / 32) {
+        float* const row = rows + p * stride;
+        for (int column = (p < count ? size : 0) + threadIdx.x % 32; column < wide; column += 32) row[column] = 0.0f;
+    }
     wait_for_copies();
     __syncthreads();
-    for (int column = threadIdx.x % 32; column < wide; column += 32) {
-        const int feature = column - inputs, pair = feature / 2, input = feature < 0 ? 0 : pair % net.encoded;
-        const float factor = feature < 0 ? 1.0f : float(1 << pair / net.encoded);
-        for (int p = threadIdx.x / 32; p < most; p += THREADS / 32) {
-            const bool there = p < count && column < size;
-            if (there && feature < 0) continue;
-            float value = 0.0f;
-            if (there) {
-                const float turns = rows[p * stride + input] * factor;
-                const float whole = floorf(turns + 0.5f), angle = (turns - whole) * PI;
-                const float sign = whole * 0.5f == floorf(whole * 0.5f) ? 1.0f : -1.0f;
-                value = sign * (feature % 2 ? cosf(angle) : sinf(angle));
-            }
-            rows[p * stride + column] = value;
-        }
+    const int p = threadIdx.x % most, pairs = p < count ? (size - inputs) / 2 : 0;
+    float* const row = rows + p * stride;
+    for (int pair = threadIdx.x / most; pair < pairs; pair += THREADS / most) {
+        const float turns = row[pair % net.encoded] * float(1 << pair / net.encoded);
+        const float whole = floorf(turns + 0.5f), angle = (turns - whole) * PI;
+        const float sign = whole * 0.5f == floorf(whole * 0.5f) ? 1.0f : -1.0f;
+        row[inputs + 2 * pair] = sign * sinf(angle);
+        row[inputs + 2 * pair + 1] = sign * cosf(angle);
     }
     __syncthreads();
 }
@@ -233,12 +229,15 @@ __device__ inline void run_layer(const Layer& layer, const float* from, int poin
         multiply(sums, {from + p * reads, reads, 1}, {layer.weights + j * layer.stride, 1, layer.stride}, layer.reads,
                  layer.makes - j, false);
         spread(sums, [&](int row, int column, float sum) {
+            const int at = (p + row) * stride + j + column;
+            const bool there = j + column < layer.makes;
             if (j + column < padded(layer.makes)) {
-                to[(p + row) * stride + j + column] = j + column < layer.makes ? sum : 0.0f;
+                if (kind == RELU && slopes) slopes[at] = there && sum > 0.0f ? 1.0f : 0.0f;
+                to[at] = there ? kind == RELU ? fmaxf(sum, 0.0f) : sum : 0.0f;
             }
         });
 #pragma unroll 1
-        for (int k = 0; k < 16 && kind >= 0; k++) {  // the same numbers: this code is too long to be there 16 times
+        for (int k = 0; k < 16 && kind > RELU; k++) {  // the same numbers: this code is too long to be there 16 times
             const int column = j + k / 4 * 8 + lane % 4 * 2 + k % 2;
             if (column >= padded(layer.makes)) break;
             const int at = (p + lane / 4 + k % 4 / 2 * 8) * stride + column;

@@ -23,6 +23,7 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.errors import DeviceError, ModelError
+from postfx.frame import LOG
 from postfx.kernels import Blocks, Kernel
 from postfx.kernels import denoise as layout
 from postfx.runtime.memory import CUDA, address
@@ -75,6 +76,7 @@ class CudaMemory:
         self._graphs = CudaGraphs(self.stream)
         self._lock = threading.RLock()
         self._beside: list[Any] = []
+        self._producer: Event | None = None
         self._next = itertools.count()
 
     def stream_beside(self) -> int:
@@ -116,7 +118,11 @@ class CudaMemory:
         """Let what comes on the stream wait for the work that a producer's stream has now; the number of ours."""
         if stream is not None and stream != self.stream:
             with self._hold():
-                _let_wait(self.stream, Event(stream, False))
+                if self._producer is None:
+                    self._producer = Event(stream, False)
+                else:  # as a wait is for what was recorded before it, one event serves all
+                    self._producer.record(stream)
+                _let_wait(self.stream, self._producer)
         return self.stream
 
     def relax(self) -> None:
@@ -277,6 +283,10 @@ class Event:
 
     def __init__(self, stream: int, captured: bool) -> None:
         self.handle = check_result(driver().cuEventCreate(0))
+        self.record(stream, captured)
+
+    def record(self, stream: int, captured: bool = False) -> None:
+        """Be what a stream has to do now, from now on."""
         external = driver().CUevent_record_flags.CU_EVENT_RECORD_EXTERNAL if captured else 0
         check_result(driver().cuEventRecordWithFlags(self.handle, stream, int(external)))
 
@@ -344,11 +354,12 @@ class CudaGraphs:
         try:
             result = enqueue()
         except Exception:  # not capturable: it runs one by one, which raises its errors
-            result = None
+            LOG.debug("commands cannot be captured as a CUDA graph", exc_info=True)
         finally:
             self.capturing = False
             status, captured = driver().cuStreamEndCapture(self._stream)
         if int(status):
+            LOG.debug("commands cannot be one CUDA graph: %s", status)
             return None
         graph = Graph(captured, result, kept)
         return graph if result is not None else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import sys
 import time
 import weakref
 from collections.abc import Callable, Hashable, Sequence
@@ -356,8 +357,8 @@ class BorrowedArray(NamedTuple):
 
 
 def borrow(array: Any, memory: Memory, place: tuple[int, int] | None) -> BorrowedArray:
-    """An array in this memory, by `__cuda_array_interface__` if that is CUDA's and says what stream to wait for, as
-    PyTorch's does not; else by DLPack, whose producer sees to it that our stream waits.
+    """An array in this memory, by `__cuda_array_interface__` if that is CUDA's and says what stream to wait for; else
+    by DLPack, whose producer sees to it that our stream waits. PyTorch does that slowly, so its tensors are looked at.
 
     Args:
         place: what `array.__dlpack_device__()` says; None without one, when it can only be in CUDA's memory.
@@ -368,6 +369,9 @@ def borrow(array: Any, memory: Memory, place: tuple[int, int] | None) -> Borrowe
     if place != memory.place:
         where = _name((int(place[0]), int(place[1])))
         raise ValueError(f"it is in the memory of {where}, the device is {_name(memory.place)}")
+    torch = sys.modules.get("torch")
+    if torch and memory.place[0] == CUDA and isinstance(array, torch.Tensor):
+        return _from_torch(torch, array, memory)
     told = getattr(array, "__cuda_array_interface__", None) if memory.place[0] == CUDA else None
     if told is not None and ("stream" in told or not hasattr(array, "__dlpack__")):
         return _from_interface(array, told, memory)
@@ -390,6 +394,18 @@ def _from_interface(array: Any, told: Any, memory: Memory) -> BorrowedArray:
         _require_contiguous(shape, [step // size for step in strides])
     memory.follow(stream)
     return BorrowedArray(int(pointer or 0), shape, dtype, bool(is_read_only), array)
+
+
+def _from_torch(torch: Any, array: Any, memory: Memory) -> BorrowedArray:
+    """A tensor of PyTorch, after what its current stream has to do now."""
+    if array.requires_grad or array.is_conj() or array.is_neg() or array.layout != torch.strided:
+        raise ValueError("it needs a gradient, is a conjugate or negative view, or is sparse: give detach(), "
+                         "resolve_conj(), resolve_neg() or to_dense() of it")
+    shape = tuple(array.shape)
+    if not array.is_contiguous():
+        _require_contiguous(shape, array.stride())
+    memory.follow(torch.cuda.current_stream(memory.place[1]).cuda_stream)
+    return BorrowedArray(array.data_ptr(), shape, str(array.dtype).removeprefix("torch."), False, array)
 
 
 @cache
