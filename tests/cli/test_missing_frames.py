@@ -103,6 +103,7 @@ def expected_faults(words: list[str]) -> dict[int, str]:
 
 
 def test_every_pair_of_options_beside_missing_frames(troubled, capsys):
+    pytest.importorskip("flip_evaluator", reason="--reference needs the extra 'bench'")
     runs = choose_runs()
     assert len(runs) < 30
     for values in runs:
