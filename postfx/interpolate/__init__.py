@@ -178,25 +178,11 @@ class Between:
         return first, last
 
     @cached_property
-    def _sparks(self) -> list[layers.Pair]:
-        """Sparks without vectors of both frames, as pairs."""
-        motion = _finite(self.after[Role.MOTION]) if Role.MOTION in self.after else None
-        onward = None if self._later is None or self._later.reset else self._later.planes.get(Role.COLOUR)
-        return layers.track_sparks(*self._pictures, onward, motion, self._level)
-
-    @cached_property
-    def _scenes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Colours without overlays and sparks."""
-        first, last = (layers.remove_sparks(picture, [pair[side] for pair in self._sparks])
-                       for side, picture in enumerate(self._pictures))
-        return first, last
-
-    @cached_property
     def _toned(self) -> tuple[np.ndarray, np.ndarray]:
         """Grey pictures with margins (h + 2 MARGIN, w + 2 MARGIN), by which paths are compared."""
         h, w = self._size
         found = []
-        for picture in self._scenes:
+        for picture in self._pictures:
             toned = np.empty((h + 2 * MARGIN, w + 2 * MARGIN), np.float32)
             _in_bands(h, tone_rows, picture, self._level, toned)
             toned[:MARGIN], toned[h + MARGIN:] = toned[MARGIN], toned[h + MARGIN - 1]
@@ -380,9 +366,8 @@ class Between:
         motion = np.empty((*self._size, 2) if Role.MOTION in after else (0, 0, 2), np.float32)
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and 1
         back = [np.float32((previous - t) * (previous - 1) / t), np.float32(previous * (previous - t) / (1 - t))]
-        _in_bands(len(picture), compose, cells, self._scale, *self._scenes, *self._known, *self._depths, self._masked,
+        _in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, *self._depths, self._masked,
                   t, self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
-        layers.add_sparks(picture, self._sparks, t)
         made = _split(mixed, light) | _split(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
         if Role.MOTION in after:

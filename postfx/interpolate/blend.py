@@ -37,7 +37,7 @@ NEARER, HIDDEN = np.float32(0.1), np.float32(0.35)
 CRISP = np.float32(0.97)
 """Share of detail that both frames show from which a cell keeps all of it, up to the middles of those beside: light
 does not leak over an edge."""
-ELSE, DARK = np.float32(130), np.float32(0.05)
+ELSE, DARK = np.float32(100), np.float32(0.05)
 """How many times as bright as in the other frame something is that only one of them shows, and the share of the middle
 light, summed over channels, that counts as dark there."""
 Cell: TypeAlias = tuple[Real, Real, Real, Real, Real, Real, Real]

@@ -46,8 +46,10 @@ BEFORE = np.float32(0.85)
 """Share of the depth of what lies behind a thing that keeps its cell if both frames show it there."""
 ONE_THING = np.float32(0.7)
 """Share of the difference to what lies behind it up to which a thing in front may differ from frame to frame."""
-MOSTLY = np.float32(0.6)
+MOSTLY = np.float32(0.4)
 """Share of detail from which what stands still is left as it is."""
+APART = np.float32(0.15)
+"""Misfit from which what stands still must be something else."""
 SURE = np.float32(0.7)
 """Share of the paths that arrive at a cell that must be seen by the other frame: a sample of it has cells around."""
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -430,7 +432,7 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
                 fits = 0 <= fit < TRUSTED * unseen
                 if not fits and (fit < 0 or path[4] + path[5] < 2):
                     fit = unseen
-                if better * fit + margin < best:
+                if (better if best < APART else BETTER) * fit + margin < best:
                     best, taken, is_seen = fit, path, fits
             if is_seen:
                 taken = taken[0], taken[1], taken[2], taken[3], ONE, ONE
