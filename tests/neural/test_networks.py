@@ -369,7 +369,7 @@ def test_fitting_learns_and_is_repeatable():
 
 def test_what_does_not_fit_is_told():
     for wrong, said in (((4,), "2 or 3"), ((2, 20), "at most 16"), ((2, 8, 2, 1000), "a power of two"),
-                        ((2, 8, 2, 0), "a power of two")):
+                        ((2, 8, 2, 0), "a power of two"), ((2, 8, 2, 1024, (64, 16)), "64 to 16 cells")):
         with pytest.raises(ModelError, match=said):
             Grid(*wrong)
     with pytest.raises(ModelError, match="needs at least 16 inputs"):
