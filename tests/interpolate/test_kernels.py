@@ -140,3 +140,14 @@ def test_inverted_motion_is_led_to_where_motion_leads_back():
     inverse = (wanted + np.random.default_rng(3).uniform(-0.4, 0.4, wanted.shape)).astype(np.float32)
     paths.refine(0, 40, motion.astype(np.float32), inverse)
     assert np.abs(inverse - wanted)[np.hypot(y, x) < 16].max() < 0.06
+
+
+def test_motion_that_changes_from_pixel_to_pixel_is_found_in_any_direction():
+    place = np.float32(0.5), np.float32(0.5)
+    assert not paths.is_sloping(np.ones((3, 3, 2), np.float32), *place)
+    for pixel in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        for channel in range(2):
+            for change in (-0.1, 0.1):
+                motion = np.ones((3, 3, 2), np.float32)
+                motion[(*pixel, channel)] += change
+                assert paths.is_sloping(motion, *place), (pixel, channel, change)
