@@ -11,6 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from postfx.kernels import denoise as layout
 from postfx.kernels.denoise import (
     BLEND,
     DISTRUST,
@@ -21,7 +22,6 @@ from postfx.kernels.denoise import (
     IMPORTANCE,
     KERNEL,
     MAX_COUNT,
-    MAX_LIGHT,
     MEMORY,
     MIX,
     PLANE_TRUST,
@@ -223,9 +223,8 @@ def reflectance(factor: Tensor, own: Tensor) -> Reflectance:
 
 # The recurrent step -------------------------------------------------------------------------------------------------
 
-MAX_DEPTH = 1e10
-MAX_FLOAT = 3e38
-MOST_LIGHT = float(MAX_LIGHT)  # a plain number: torch.compile breaks graphs at NumPy's
+# Plain numbers: torch.compile breaks graphs at NumPy's.
+MAX_DEPTH, MAX_FLOAT, MAX_LIGHT = (float(most) for most in (layout.MAX_DEPTH, layout.MAX_FLOAT, layout.MAX_LIGHT))
 ALIGN = 16
 
 
@@ -325,7 +324,7 @@ def recall(inputs: Inputs, state: State, motion: Tensor, output: Tensor, place: 
 
 def demodulate(colour: Tensor, factor: Tensor) -> Tensor:
     """Colour without reflectance, in [0, 1e30]."""
-    return (ops.sanitise(colour, 0, MAX_FLOAT) / factor).clamp(max=MOST_LIGHT)
+    return (ops.sanitise(colour, 0, MAX_FLOAT) / factor).clamp(max=MAX_LIGHT)
 
 
 def hold(light: Tensor) -> Tensor:
