@@ -421,7 +421,8 @@ def print_constants(constants: Mapping[str, Any]) -> str:
     lines = []
     for name, value in constants.items():
         kind = _TYPES.get(type(value), "float")
-        lines.append(f"[[maybe_unused]] const {kind} {name} = {value!s}{'f' if kind == 'float' else ''};\n")
+        digits = int(value) if kind == "int" else float(value)  # NumPy's own text depends on its print options
+        lines.append(f"[[maybe_unused]] const {kind} {name} = {digits!r}{'f' if kind == 'float' else ''};\n")
     return "".join(lines)
 
 
