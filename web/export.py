@@ -18,6 +18,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from postfx.kernels.denoise import FEATURES, HIDDEN
+from postfx.passes.denoise.models import doubts_planes
 from postfx.passes.denoise.network import FEATURE_PARTS
 from postfx.passes.denoise.tiling import LEVELS
 from postfx.passes.tonemap import find_model, shaper
@@ -169,7 +170,11 @@ def save_denoiser(path: Path, scale: int) -> None:
     assert ends[-1] == FEATURES
     parts = {name: channels(common["features"], first, end, 1)
              for name, first, end in zip(FEATURE_PARTS, ends, ends[1:], strict=False)}
-    heads = graph.call(models / ("denoise_upscale.s.1x.onnx" if scale == 1 else "denoise_upscale.s.onnx"), **parts)
+    network = "denoise_upscale.s.1x" if scale == 1 else "denoise_upscale.s"
+    heads = graph.call(models / f"{network}.onnx", **parts)
+    doubts = doubts_planes(network)
+    if doubts:
+        common |= kernel("means")
     common |= kernel("open_phased", phased_fine=heads["phased_fine"])
     common |= (found := kernel("accumulate"))
     levels, importance = [channels(found["level"], 0, 3, 0)], channels(found["level"], 3, 4, 0)
@@ -188,7 +193,8 @@ def save_denoiser(path: Path, scale: int) -> None:
             mixed = kernel("mix", coarse=filtered, level=levels[i], heads=head, coarse_rows=coarse[0],
                            coarse_columns=coarse[1])["mixed"]
         filtered = kernel("filter", mixed=mixed, heads=head, area=places.area(i))["filtered"]
-    output = kernel("upsample", **kernel("remodulate", filtered=filtered))["output"]
+    last = ("remodulate_both", "upsample_unscaled") if doubts and scale == 1 else ("remodulate", "upsample")
+    output = kernel(last[1], **kernel(last[0], filtered=filtered))["output"]
     inputs: dict[str, list[int | str]] = {name: ["height", "width", count] for name, count in PLANES.items()}
     graph.save(path, inputs | {"params": [4]}, output, ["output_height", "output_width", 3])
 

@@ -31,7 +31,7 @@ def shifted(picture: np.ndarray, pixels: float) -> np.ndarray:
 
 @pytest.mark.parametrize(("model", "frames"), [("m.fp32", 120), ("s.fp32", 70)])
 def test_a_slow_pan_does_not_get_worse(model: str, frames: int, shared_dir: Path) -> None:
-    """History is moved many times by parts of a pixel, by exact vectors. With a bias of distrust that is lower by 1, `m`
+    """History is moved often by parts of a pixel, by exact vectors. With a bias of distrust that is lower by 1, `m`
     lost 3.5 dB in 120 frames."""
     folder = shared_dir / "sequences" / "garage"
     room, truth = (next(iter(read_sequence(folder / f"{name}.####.exr"))) for name in ("noisy", "reference"))
