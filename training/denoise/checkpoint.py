@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 PREFIX, HALF = "trunk.", "_half"
 
@@ -82,6 +82,30 @@ def weights_of(path: Path) -> dict[str, Tensor]:
     stored["stem.bias"] = stored.pop("stems.0.bias")
     stored["stem.weight"] = torch.cat([stored.pop(f"stems.{i}.weight") for i in range(2)], 1)
     return {PREFIX + name: values.contiguous() for name, values in stored.items()}
+
+
+def widen(weights: dict[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
+    """Weights of ``model`` that begin as the function of a network with fewer channels or levels.
+
+    New channels keep the random weights of ``model``, but nothing that existed reads them yet, as in Net2Net (Chen,
+    Goodfellow and Shlens, 2016). New levels begin with the filter that was the same at all pixels. Raises ValueError if
+    the network is larger than the model.
+    """
+    found = {name: values.clone() for name, values in model.state_dict().items()}
+    levels = sum(name.startswith(PREFIX + "heads.") and name.endswith("bias") for name in weights)
+    for name, values in weights.items():
+        word, _, place = name.removeprefix(PREFIX).partition(".")
+        if name not in found and word in ("alike", "rest"):
+            target = f"heads.{levels + int(place)}" if word == "alike" else f"lift.{levels - 1}"
+            found[f"{PREFIX}{target}.weight"].zero_()
+            name, values = f"{PREFIX}{target}.bias", values.flatten()
+        if name not in found or any(a > b for a, b in zip(values.shape, found[name].shape, strict=True)):
+            raise ValueError(f"{name}: the network to start from is larger than the one to train")
+        whole = found[name]
+        if values.ndim > 1:
+            whole[:values.shape[0], values.shape[1]:] = 0
+        whole[tuple(slice(n) for n in values.shape)] = values
+    return found
 
 
 # State that a run continues with ------------------------------------------------------------------------------------

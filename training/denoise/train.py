@@ -35,7 +35,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from training.denoise.checkpoint import git_commit, load_weights, read, save
+from training.denoise.checkpoint import git_commit, load_weights, read, save, widen
 from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to_batch
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
 from training.denoise.loss import LIGHT, ClipLoss
@@ -90,7 +90,9 @@ def options() -> argparse.ArgumentParser:
                         help="share of the steps that continue the history of an earlier one: the same windows, with "
                              "other noise, played the other way (default: %(default)s)")
     begin = parser.add_mutually_exclusive_group()
-    begin.add_argument("--start", type=Path, help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx")
+    begin.add_argument("--start", type=Path,
+                       help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx, also of a network with fewer channels "
+                            "or levels")
     begin.add_argument("--resume", type=Path, help="checkpoint.pt of a run to continue, with its arguments")
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
     parser.add_argument("--seed", type=int, default=0)
@@ -234,7 +236,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
                                                 args.trust))
     model = model.to(device, memory_format=torch.channels_last)
     if args.start:
-        model.load_state_dict(load_weights(args.start, args.trust))
+        model.load_state_dict(widen(load_weights(args.start, args.trust), model))
     average = Average(model, DECAY)
     loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance)
     flat = FlatGradient(list(model.parameters()))

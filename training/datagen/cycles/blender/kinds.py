@@ -20,8 +20,8 @@ from . import scene as parts
 from .scene import Rng
 
 KINDS = {  # how often each is drawn for training
-    "fog": 0.16, "indirect": 0.14, "foliage": 0.13, "fur": 0.08, "glass": 0.08, "dof": 0.09, "motion_blur": 0.07,
-    "interior": 0.07, "outdoor": 0.08, "product": 0.06, "text": 0.04,
+    "fog": 0.14, "indirect": 0.12, "foliage": 0.11, "fur": 0.07, "glass": 0.08, "dof": 0.09, "motion_blur": 0.11,
+    "interior": 0.07, "outdoor": 0.1, "product": 0.08, "text": 0.03,
 }
 
 
