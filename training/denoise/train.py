@@ -91,8 +91,8 @@ def options() -> argparse.ArgumentParser:
                              "other noise, played the other way (default: %(default)s)")
     begin = parser.add_mutually_exclusive_group()
     begin.add_argument("--start", type=Path,
-                       help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx, also of a network with fewer channels "
-                            "or levels")
+                       help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx, also of a network with fewer "
+                            "channels or levels")
     begin.add_argument("--resume", type=Path, help="checkpoint.pt of a run to continue, with its arguments")
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
     parser.add_argument("--seed", type=int, default=0)
