@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from postfx.errors import PostfxError
     from postfx.frame import ROLES, Frame, FrameSpec, Role
     from postfx.interpolate import Between, Interpolator
+    from postfx.interpolate.on_device import DeviceInterpolator
     from postfx.io.sequence import Sequence, read_sequence
     from postfx.io.writer import write_frame
     from postfx.passes.composite import BothWays, Overlay
@@ -39,6 +40,7 @@ _HOMES = {
     "BothWays": "postfx.passes.composite",
     "DenoiseUpscale": "postfx.passes.denoise",
     "Device": "postfx.runtime",
+    "DeviceInterpolator": "postfx.interpolate.on_device",
     "Frame": "postfx.frame",
     "FrameSpec": "postfx.frame",
     "Interpolator": "postfx.interpolate",
@@ -64,6 +66,7 @@ __all__ = [
     "BothWays",
     "DenoiseUpscale",
     "Device",
+    "DeviceInterpolator",
     "Frame",
     "FrameSpec",
     "Interpolator",

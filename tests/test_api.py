@@ -14,6 +14,7 @@ PUBLIC = [
     "BothWays",
     "DenoiseUpscale",
     "Device",
+    "DeviceInterpolator",
     "Frame",
     "FrameSpec",
     "Interpolator",

@@ -26,10 +26,28 @@ import numpy as np
 from postfx.cuts import CutDetector
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
-from postfx.interpolate import layers, paths
+from postfx.interpolate import paths
 from postfx.interpolate.blend import compose, is_finite, is_same_plane, join_cells
-from postfx.interpolate.choose import MARGIN, choose_paths, fill_holes, measure_detail, merge_sides, misfits, tone_rows
-from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, halve
+from postfx.interpolate.choose import (
+    LUMINANCE,
+    MARGIN,
+    choose_paths,
+    fill_holes,
+    measure_detail,
+    merge_sides,
+    misfits,
+    tone_rows,
+)
+from postfx.interpolate.flow import (
+    COVERED,
+    consistent_motion,
+    enlarge_motion,
+    estimate_motion,
+    find_overlay,
+    halve,
+    measure_clearness,
+    remove_overlay,
+)
 from postfx.interpolate.timing import camera_between
 from postfx.system import usable_cores
 from postfx.temporal.reverse_motion import invert_motion
@@ -38,7 +56,6 @@ LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
 """Planes that are mixed from both frames, as the colour is."""
 DATA = (Role.DEPTH, Role.NORMAL, Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE)
 """Planes that are taken from one frame's nearest pixel."""
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 LEAST_OF_CELLS = 64
 """Pixels along a picture's shorter side from which paths are found for cells of 2x2 pixels."""
 LEAST_SEARCHED = 240
@@ -174,7 +191,7 @@ class Between:
             return _finite(self.before[Role.OPAQUE_COLOUR]), _finite(self.after[Role.OPAQUE_COLOUR])
         if not self._composited:
             return self._colours
-        first, last = (layers.remove_overlay(*both) for both in zip(self._colours, self._overlays, strict=True))
+        first, last = (remove_overlay(*both) for both in zip(self._colours, self._overlays, strict=True))
         return first, last
 
     @cached_property
@@ -223,13 +240,13 @@ class Between:
     def _known(self) -> tuple[np.ndarray, np.ndarray]:
         """(h, w) of each frame: where it shows the scene, and not an overlay."""
         if self._composited:
-            first, last = (overlay[..., 3] < layers.COVERED for overlay in self._overlays)
+            first, last = (overlay[..., 3] < COVERED for overlay in self._overlays)
             return first, last
         known = np.ones(self._size, np.bool_)
         if self._both_have(Role.MOTION) and not self._both_have(Role.OPAQUE_COLOUR):
             motion = self.after[Role.MOTION]
             size = np.abs(_finite(motion[::4, ::4])).sum(-1)
-            layers.find_overlay(*self._pictures, motion, min(LONGEST, math.ceil(float(np.quantile(size, 0.99)))), known)
+            find_overlay(*self._pictures, motion, min(LONGEST, math.ceil(float(np.quantile(size, 0.99)))), known)
         return known, known
 
     @cached_property
@@ -392,7 +409,7 @@ class Between:
             return covered
         one, other = self._colours
         if self._both_have(Role.OPAQUE_COLOUR):
-            clear = layers.measure_clearness(one, other, *self._pictures)
+            clear = measure_clearness(one, other, *self._pictures)
             mean = self._pictures[0] + np.float32(t) * (self._pictures[1] - self._pictures[0])
             drawn: np.ndarray = one + np.float32(t) * (other - one) + clear * (picture - mean)
             return drawn

@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from postfx.interpolate.choose import OTHER as OTHER
 from postfx.interpolate.choose import differ, is_within
 from postfx.kernels.numeric import Real, compiled, inline, summed
 from postfx.kernels.vectors import in_lanes

@@ -52,6 +52,9 @@ APART = np.float32(0.15)
 """Misfit from which what stands still must be something else."""
 SURE = np.float32(0.7)
 """Share of the paths that arrive at a cell that must be seen by the other frame: a sample of it has cells around."""
+RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+LUMINANCE = np.array([RED, GREEN, BLUE])
+"""Shares of channels in how bright a colour is (BT.709)."""
 ZERO, ONE = np.float32(0), np.float32(1)
 STEPS = np.array([(0, 0), (0, 1), (1, 0), (0, -1), (-1, 0)])
 """Neighbours whose paths are tried."""

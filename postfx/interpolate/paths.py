@@ -20,12 +20,15 @@ import numpy as np
 from postfx.frame import DEPTH_MISS
 from postfx.io.convert import centre_positions, fit_camera
 from postfx.kernels.numeric import Real, add_eight, compiled, inline, load_eight, store_eight
+from postfx.temporal import reverse_motion
 from postfx.temporal.reverse_motion import LOST
 
 FAR = np.float32(1e30)
 """Stands for an unknown depth or a larger one."""
 ALIKE = np.float32(0.04)
 """Relative difference in depth of paths that arrive at a pixel as one surface."""
+SIMILAR = reverse_motion.ALIKE
+"""The same of neighbours from whose motion a crack is filled where motion is inverted."""
 SEEN = np.float32(1)
 """Pixels by which motion to the other frame and back may miss."""
 COVERS = np.float32(0.9)

@@ -388,3 +388,31 @@ __device__ inline void resampled(const View& image, int channels, const Cubic& d
 __device__ inline float over(float front, float alpha, float behind) {
     return known(front) + (1.0f - alpha) * known(behind);
 }
+
+// postfx/interpolate: a path leads from a cell to its place in the frame before (a) and in the one after (b), in pixels;
+// whether each of them shows the point, 0 or 1.
+struct Path {
+    float ax, ay, bx, by, first, last;
+};
+
+__device__ inline Path path_of(const View& cells, int cell) {
+    const Four p = four(cells, 2 * size_t(cell));
+    const Pair q = pair(cells, 4 * size_t(cell) + 2);
+    return {p.x, p.y, p.z, p.w, q.x, q.y};
+}
+
+__device__ inline void put_path(const View& cells, int cell, const Path& path) {
+    four(cells, 2 * size_t(cell)) = {path.ax, path.ay, path.bx, path.by};
+    pair(cells, 4 * size_t(cell) + 2) = {path.first, path.last};
+}
+
+// Whether paths lead to other places, by so many pixels.
+__device__ inline bool differ(const Path& one, const Path& other, float by) {
+    return fabsf(one.ax - other.ax) > by || fabsf(one.ay - other.ay) > by || fabsf(one.bx - other.bx) > by
+        || fabsf(one.by - other.by) > by;
+}
+
+// Whether a place is in a picture.
+__device__ inline bool is_inside(int h, int w, float y, float x) {
+    return x > -0.5f && y > -0.5f && x < float(w) - 0.5f && y < float(h) - 0.5f;
+}

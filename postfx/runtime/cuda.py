@@ -382,7 +382,9 @@ def check_result(result: tuple[Any, ...]) -> Any:
 
 # Sources of kernels
 
-SOURCES = Path(layout.__file__).resolve().parent.parent
+SOURCES = Path(layout.__file__).resolve().parents[2]
+"""The package, whose kernels lie beside the modules that their constants come from."""
+SHARED = SOURCES / "kernels"
 _KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\(\w+\) )?(\w+)\(')
 _NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
 _TYPES = {int: "int", np.float64: "double"}
@@ -397,10 +399,10 @@ def find_source(kernel: Kernel) -> Path | None:
 def read_source(family: Path) -> str:
     """The source that is compiled for a file of kernels: the declaration of arguments, for our own kernels also the
     constants and the code that all families share, and the file."""
-    view, own = (SOURCES / "view.cuh").read_text(), family.read_text()
+    view, own = (SHARED / "view.cuh").read_text(), family.read_text()
     if not family.is_relative_to(SOURCES):
         return view + own
-    source = (SOURCES / "common.cuh").read_text() + own
+    source = (SHARED / "common.cuh").read_text() + own
     return view + print_constants(constants_of(family, source)) + source
 
 
@@ -408,7 +410,7 @@ def constants_of(family: Path, source: str) -> dict[str, Any]:
     """Numbers of Python that a source of ours names, by name: those of the module beside its file, those that the
     upscaler's kernels share, and those of `postfx.kernels.numeric`. A pair NAME of a low and a high number is NAME_LOW
     and NAME_HIGH."""
-    module = ".".join(("postfx.kernels", *family.relative_to(SOURCES).with_suffix("").parts))
+    module = ".".join(("postfx", *family.relative_to(SOURCES).with_suffix("").parts))
     known: dict[str, Any] = vars(import_module("postfx.kernels.numeric")) | vars(layout) | vars(import_module(module))
     pairs = {f"{name}_{end}": value[at] for name, value in known.items() if isinstance(value, tuple) and len(value) == 2
              for at, end in enumerate(("LOW", "HIGH"))}

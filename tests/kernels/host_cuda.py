@@ -109,8 +109,14 @@ static void meet(int warp) {
 static void copy_number(float* to, const float* from) { *to = *from; }
 static void wait_for_copies() {}
 
-static unsigned long long atomicAdd(unsigned long long* at, unsigned long long more) {
-    const unsigned long long before = *at;
+template <class T> static T atomicMin(T* at, T other) {
+    const T before = *at;
+    *at = min(before, other);
+    return before;
+}
+
+template <class T> static T atomicAdd(T* at, T more) {
+    const T before = *at;
     *at += more;
     return before;
 }
@@ -142,6 +148,8 @@ static void add_product(float (&sums)[4], const unsigned (&left)[4], const unsig
 
 template <class T> static inline T __ldg(const T* at) { return *at; }
 static inline float __int_as_float(int bits) { float value; std::memcpy(&value, &bits, 4); return value; }
+static inline int __float_as_int(float value) { int bits; std::memcpy(&bits, &value, 4); return bits; }
+static inline unsigned __float_as_uint(float value) { return unsigned(__float_as_int(value)); }
 // Macros of the standard library that the GPU's compiler does not know.
 #undef INFINITY
 #undef NAN
@@ -168,8 +176,9 @@ def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
     if blocks:
         threads, shared, columns, rows = blocks.threads, blocks.shared, 1, min(-(-rows // blocks.rows), blocks.most)
     function = getattr(_library(find_source(kernel)), f"run_{kernel.name}")
-    function.argtypes = [*[ctypes.c_int] * 4, *[View] * len(kernel.reads + kernel.writes)]
-    function(columns, rows, threads, shared, *(view(arrays[binding]) for binding in kernel.reads + kernel.writes))
+    bindings = dict.fromkeys(kernel.reads + kernel.writes)  # what is changed in place is one of them
+    function.argtypes = [*[ctypes.c_int] * 4, *[View] * len(bindings)]
+    function(columns, rows, threads, shared, *(view(arrays[binding]) for binding in bindings))
 
 
 @cache

@@ -10,20 +10,20 @@ import pytest
 
 from postfx.kernels import denoise as layout
 from postfx.kernels.denoise import history, output
-from postfx.runtime.cuda import SOURCES, constants_of, print_constants, read_source
+from postfx.runtime.cuda import SHARED, SOURCES, constants_of, print_constants, read_source
 
 FAMILIES = sorted(SOURCES.rglob("*.cu"))
 
 
 def constants(path: Path) -> dict[str, int | float]:
-    return constants_of(path, (SOURCES / "common.cuh").read_text() + path.read_text())
+    return constants_of(path, (SHARED / "common.cuh").read_text() + path.read_text())
 
 
 def test_constants_are_those_of_the_module_beside_the_file_and_of_the_layout() -> None:
-    found = constants(SOURCES / "denoise/history.cu")
+    found = constants(SHARED / "denoise/history.cu")
     assert (found["ROUGHEST"], found["MAX_COLOUR"]) == (history.ROUGHEST, layout.MAX_COLOUR)
     low, high = output.STRUCTURE
-    found = constants(SOURCES / "denoise/output.cu")
+    found = constants(SHARED / "denoise/output.cu")
     assert (found["STRUCTURE_LOW"], found["STRUCTURE_HIGH"], found["TILE"]) == (low, high, output.TILE)
 
 

@@ -1,0 +1,310 @@
+"""Frames between frames on a GPU: planes lie in its memory from the first command to the last.
+
+    between = postfx.DeviceInterpolator(postfx.Device("cuda"))
+    between.push({"colour": colour, "depth": depth, "motion": motion})      # arrays of any library, on the GPU
+    between.push({"colour": colour, "depth": depth, "motion": motion})
+    picture = torch.from_dlpack(between.frame(0.5)["colour"])
+
+The kernels lie beside the modules that they are the CUDA form of: paths.cu, choose.cu and blend.cu. `PUSH`, `PAIR` and
+`FRAME` list them in the order in which they run: what each frame, each two frames and each time needs. A step names a
+kernel and the buffer of each of its bindings; those of one group do not depend on each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from postfx.caching import LRUCache
+from postfx.errors import DeviceError, FrameError
+from postfx.frame import ROLES, Role
+from postfx.interpolate import LEAST_OF_CELLS
+from postfx.interpolate.choose import MARGIN
+from postfx.kernels import Blocks, Kernel
+from postfx.passes import share_planes, spec_of
+from postfx.runtime import ArgumentTable, Device
+from postfx.runtime.memory import CUDA
+from postfx.runtime.tensor import Tensor
+
+NEEDED = (Role.COLOUR, Role.DEPTH, Role.MOTION)
+TAKEN = (Role.DEPTH, Role.NORMAL)
+"""Planes that are taken from one frame's nearest pixel."""
+PARTS = 132
+"""Blocks that sum up light."""
+FACTS = 9
+"""Numbers of `facts`: whether motion of the frame before is known, four that its jitter adds to the ends of a frame's
+paths, and four that both frames' jitter takes off them."""
+MOST_TIMES, MOST_TABLES = 64, 256
+"""Times whose parameters stay on the GPU, and bound kernels that are known again."""
+
+
+def _no_rows(*_: Any) -> None:
+    raise DeviceError("kernels of the interpolation on a device are written for CUDA: on the CPU use Interpolator")
+
+
+_IMAGE, _CELLS = ("height", "width"), ("rows", "columns")
+_SHAPES: dict[str, tuple[int | str, ...]] = {
+    "picture": (*_IMAGE, 3), "held": (*_IMAGE, 4), "colour": (*_IMAGE, 3), "pixel_motion": (*_IMAGE, 2),
+    "pixel_depth": (*_IMAGE, 1), "paths": (*_IMAGE, 4), "led": (*_IMAGE, 1), "plane": (*_IMAGE, "channels"),
+    "toned": ("tall", "wide", 1), "misfits": ("few_rows", "few_columns", 1), "sums": (PARTS,), "number": (1,),
+    "two": (2,), "facts": (FACTS,), "motion": (*_CELLS, 2), "depth": (*_CELLS, 1), "ends": (*_CELLS, 4),
+    "cells": (*_CELLS, 8)}
+"""Shapes by kind."""
+
+
+def _kernel(name: str, reads: str, writes: str, blocks: Blocks | None = None) -> Kernel:
+    """A kernel of `binding:kind` words. A thread makes one element of what it writes last."""
+    pairs = {word.split(":")[0]: word.split(":")[1] for word in f"{reads} {writes}".split()}
+    names = [tuple(word.split(":")[0] for word in words.split()) for words in (reads, writes)]
+    return Kernel(f"interpolate_{name}", names[0], names[1], _no_rows, (names[1][-1], 0),
+                  {name: _SHAPES[kind] for name, kind in pairs.items()}, blocks=blocks)
+
+
+_SUMMING = Blocks(1, 256)
+HOLD = _kernel("hold", "picture:picture", "held:held")
+GATHER = _kernel("gather", "motion:pixel_motion depth:pixel_depth scale:number", "cells:motion cell_depth:depth")
+LIGHTS = _kernel("lights", "before:held after:held", "sums:sums", _SUMMING)
+LOGS = _kernel("logs", "before:held after:held lights:sums", "sums:sums", _SUMMING)
+LEVEL = _kernel("level", "sums:sums", "level:number")
+TONE = _kernel("tone", "before:held after:held level:number", "toned_before:toned toned_after:toned")
+FORGET = _kernel("forget", "", "keys:motion")
+ARRIVE = _kernel("arrive", "motion:motion depth:depth keys:motion", "keys:motion")
+INVERT = _kernel("invert", "keys:motion motion:motion depth:depth", "inverse:motion")
+REFINE = _kernel("refine", "inverse:motion motion:motion depth:depth", "ahead:motion")
+LEAD_BACK = _kernel("lead_back", "motion:motion ahead:motion depth_before:depth depth_after:depth came:motion "
+                    "facts:facts", "ends:ends bend:motion seen:depth")
+LEAD_AHEAD = _kernel("lead_ahead", "ahead:motion motion:motion depth_before:depth depth_after:depth came:motion "
+                     "facts:facts bend_after:motion", "ends:ends bend:motion seen:depth")
+MISFITS = _kernel("misfits", "before:toned after:toned ends:ends seen:depth scale:number", "found:misfits")
+NOISE = _kernel("noise", "found:misfits", "noise:number", _SUMMING)
+CLEAR = _kernel("clear", "", "nearest:depth sums:cells")
+NEAREST = _kernel("nearest", "ends:ends bend:motion depth:depth time:number nearest:depth", "nearest:depth")
+MEANS = _kernel("means", "ends:ends bend:motion depth:depth seen:depth time:number nearest:depth sums:cells",
+                "sums:cells")
+CLOSE = _kernel("close", "nearest:depth sums:cells facts:facts", "side:cells depth:depth")
+MERGE = _kernel("merge", "first:cells first_depth:depth last:cells last_depth:depth scale:number", "own:cells")
+FILL = _kernel("fill", "first_depth:depth last_depth:depth own:cells", "own:cells")
+CHOOSE = _kernel("choose", "before:toned after:toned own:cells first:cells last:cells first_depth:depth "
+                 "last_depth:depth noise:number scale:number", "cells:cells")
+JOIN = _kernel("join", "cells:cells", "cells:cells")
+DETAIL = _kernel("detail", "before:toned after:toned noise:number scale:number cells:cells", "cells:cells")
+COMPOSE = _kernel("compose", "cells:cells before:held after:held near:pixel_depth far:pixel_depth time:number "
+                  "level:number scale:number", "colour:colour paths:paths led:led")
+TAKE = _kernel("take", "before:plane after:plane paths:paths led:led", "data:plane")
+MOTION = _kernel("motion", "paths:paths shares:two", "motion:pixel_motion")
+
+Step = tuple[Kernel, dict[str, str]]
+"""A kernel, and its buffers by binding."""
+
+
+def _step(kernel: Kernel, buffers: str) -> Step:
+    """Buffers in the order of the bindings."""
+    return kernel, dict(zip(dict.fromkeys(kernel.reads + kernel.writes), buffers.split(), strict=True))
+
+
+PUSH: tuple[tuple[Step, ...], ...] = ((
+    _step(HOLD, "after.colour after.held"),
+    _step(GATHER, "after.motion after.depth scale after.cells after.cell_depth")), )
+PAIR: tuple[tuple[Step, ...], ...] = (
+    (_step(LIGHTS, "before.held after.held lights"), _step(FORGET, "keys")),
+    (_step(LOGS, "before.held after.held lights logs"), _step(ARRIVE, "after.cells after.cell_depth keys")),
+    (_step(LEVEL, "logs level"), _step(INVERT, "keys after.cells before.cell_depth inverse")),
+    (_step(TONE, "before.held after.held level toned_before toned_after"),
+     _step(REFINE, "inverse after.cells before.cell_depth ahead")),
+    (_step(LEAD_BACK, "after.cells ahead before.cell_depth after.cell_depth before.cells facts_after ends_after "
+           "bend_after seen_after"),),
+    (_step(LEAD_AHEAD, "ahead after.cells before.cell_depth after.cell_depth before.cells facts_before bend_after "
+           "ends_before bend_before seen_before"),
+     _step(MISFITS, "toned_before toned_after ends_after seen_after scale misfits")),
+    (_step(NOISE, "misfits noise"),))
+FRAME: tuple[tuple[Step, ...], ...] = (
+    tuple(_step(CLEAR, f"nearest_{side} sums_{side}") for side in ("before", "after")),
+    tuple(_step(NEAREST, f"ends_{side} bend_{side} {side}.cell_depth time nearest_{side}")
+          for side in ("before", "after")),
+    tuple(_step(MEANS, f"ends_{side} bend_{side} {side}.cell_depth seen_{side} time nearest_{side} sums_{side}")
+          for side in ("before", "after")),
+    tuple(_step(CLOSE, f"nearest_{side} sums_{side} facts_{side} side_{side} depth_{side}")
+          for side in ("before", "after")),
+    (_step(MERGE, "side_before depth_before side_after depth_after scale own"),),
+    (_step(FILL, "depth_before depth_after own"),),
+    (_step(CHOOSE, "toned_before toned_after own side_before side_after depth_before depth_after noise scale chosen"),),
+    (_step(JOIN, "chosen"),),
+    (_step(DETAIL, "toned_before toned_after noise scale chosen"),),
+    (_step(COMPOSE, "chosen before.held after.held before.depth after.depth time level scale new.colour paths led"),),
+    (_step(MOTION, "paths shares new.motion"),
+     *(_step(TAKE, f"before.{role} after.{role} paths led new.{role}") for role in TAKEN)))
+
+
+def sizes_of(height: int, width: int) -> dict[str, int]:
+    """What the symbols of shapes are for a picture of this size."""
+    scale = scale_of(height, width)
+    rows, columns = -(-height // scale), -(-width // scale)
+    return {"height": height, "width": width, "rows": rows, "columns": columns, "tall": height + 2 * MARGIN,
+            "wide": width + 2 * MARGIN, "few_rows": rows // 4, "few_columns": columns // 4}
+
+
+def scale_of(height: int, width: int) -> int:
+    """Pixels along a side of the cells that paths are found for."""
+    return 2 if min(height, width) >= LEAST_OF_CELLS else 1
+
+
+def shapes_of(steps: Iterable[Iterable[Step]], sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+    """Shapes of all buffers that steps name; planes that may have any number of channels have that of normals."""
+    symbols = {"channels": 3, **sizes}
+    return {buffer: tuple(size if isinstance(size, int) else symbols[size] for size in kernel.shapes[binding])
+            for group in steps for kernel, buffers in group for binding, buffer in buffers.items()}
+
+
+def facts_of(jitter: tuple[float, float], both: tuple[float, ...], comes: bool, scale: int) -> list[float]:
+    """`facts` of a frame's paths. jitter: its own. both: that of the frame before and of the one after. comes: whether
+    motion of the frame before is known."""
+    return [float(comes), *(offset / scale for offset in (*jitter * 2, *both))]
+
+
+class DeviceInterpolator:
+    """Frames between the last two frames of a stream, on a GPU. Stateful: push frames in order.
+
+    What `Interpolator` makes with flow=False, of colour, depth, motion and normals: nothing looks for cuts, overlays or
+    frames that are alike, hit distances are not used, and pixels that are not finite count as black. Frames are of one
+    size.
+
+    Args:
+        device: a GPU with CUDA.
+
+    Attributes:
+        milliseconds: what the last calls of `push` and `frame` took on the GPU.
+
+    Raises DeviceError for another device.
+    """
+
+    def __init__(self, device: Device) -> None:
+        if device.memory.place[0] != CUDA:
+            raise DeviceError(f"{device!r} is no GPU with CUDA: on the CPU use Interpolator")
+        self._device = device
+        self._size: tuple[int, int] | None = None
+        self._buffers: dict[str, Tensor] = {}
+        self._frames: list[dict[Role, Tensor]] = []
+        self._jitters: list[tuple[float, float]] = []
+        self._numbers: LRUCache[tuple[float, ...], Tensor] = LRUCache(MOST_TIMES)
+        self._tables: LRUCache[tuple[object, ...], ArgumentTable] = LRUCache(MOST_TABLES)
+        self._facts: dict[str, list[float]] = {}
+        self._resets: list[bool] = []
+        self._count, self._made = 0, 0
+        self.milliseconds = {"push": 0.0, "frame": 0.0}
+
+    @property
+    def ready(self) -> bool:
+        """Whether two frames of one shot were pushed."""
+        return len(self._frames) == 2 and not self._resets[1]
+
+    def push(self, planes: Mapping[Role | str, Any], *, reset: bool = False, jitter: tuple[float, float] = (0.0, 0.0)
+             ) -> None:
+        """Take the next frame.
+
+        Args:
+            planes: colour, depth and motion, (height, width, channels) float32, and normals if the new frames need
+                them. They must stay as they are until the second push after.
+            reset: whether another shot begins with it; its motion then counts for nothing.
+            jitter: as in `Frame`.
+
+        Raises FrameError for planes that are missing or do not fit, BindingError for arrays that cannot be read.
+        """
+        tensors = share_planes(self._device, "plane", planes)
+        spec = spec_of(tensors, {}, "scene-linear")
+        missing = [role for role in NEEDED if role not in tensors]
+        if missing:
+            raise FrameError(f"frames between on a device need {', '.join(missing)}, too: give the planes")
+        size = spec.height, spec.width
+        if size != self._size:
+            self._allocate(size)
+        self._frames, self._jitters = [*self._frames, tensors][-2:], [*self._jitters, jitter][-2:]
+        self._resets = [*self._resets, reset][-2:]
+        self._count += 1
+        steps = PUSH
+        if self.ready:
+            both = (*self._jitters[0], *self._jitters[1])
+            for name, own in (("facts_before", self._jitters[0]), ("facts_after", self._jitters[1])):
+                facts = facts_of(own, both, not self._resets[0], scale_of(*size))
+                if self._facts.get(name) != facts:
+                    self._buffers[name].upload(np.array(facts, np.float32))
+                    self._facts[name] = facts
+            steps = (*PUSH, *PAIR)
+        self.milliseconds["push"] = self._run("push", steps, {})
+
+    def frame(self, t: float, previous: float = 0.0) -> dict[Role, Tensor]:
+        """Colour, motion, depth, and normals where both frames have them, at a time t between 0 and 1. They stay as
+        they are until the second call after.
+
+        previous: the time to which the motion leads, -1 to t.
+
+        Raises FrameError for another time, or where there are no two frames of one shot.
+        """
+        if not self.ready:
+            raise FrameError("nothing to interpolate: push two frames of one shot first")
+        if not (0 < t < 1 and -1 <= previous <= t):
+            raise FrameError(f"time {t} with motion to {previous}: give 0 < t < 1 and -1 <= previous <= t")
+        self._made += 1
+        back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
+        given = {"time": self._number("time", t), "shares": self._number("shares", *back)}
+        roles = [role for role in (*NEEDED, *TAKEN) if all(role in frame for frame in self._frames)]
+        steps = [tuple(step for step in group if step[0] is not TAKE or step[1]["data"][4:] in roles)
+                 for group in FRAME]
+        self.milliseconds["frame"] = self._run("frame", steps, given)
+        return {role: self._buffer(f"new.{role}", {}) for role in roles}
+
+    def _allocate(self, size: tuple[int, int]) -> None:
+        """Buffers for a size of frames: those of the frames themselves and of results are there twice."""
+        for tensor in self._buffers.values():
+            tensor.release()
+        self._size, self._frames, self._jitters, self._resets, self._facts = size, [], [], [], {}
+        self._buffers, self._tables = {}, LRUCache(MOST_TABLES)
+        for name, shape in shapes_of((*PUSH, *PAIR, *FRAME), sizes_of(*size)).items():
+            side, _, plane = name.rpartition(".")
+            if name in ("time", "shares") or side == "before" or (side == "after" and plane in ROLES):
+                continue
+            shape = (*shape[:2], 1) if plane == Role.DEPTH and side else shape
+            for index in range(2 if side else 1):
+                place = f"{index}.{side}.{plane}" if side else name
+                self._buffers[place] = self._device.heap.tensor(f"interpolate {place}", shape)
+        self._buffers["scale"].upload(np.array([scale_of(*size)], np.float32))
+
+    def _number(self, name: str, *values: float) -> Tensor:
+        """A tensor of parameters, which is uploaded once."""
+        def make() -> Tensor:
+            tensor = self._device.heap.tensor(f"interpolate {name}", (len(values),))
+            tensor.upload(np.array(values, np.float32))
+            return tensor
+
+        return self._numbers.get_or_make(values, make)
+
+    def _buffer(self, name: str, given: Mapping[str, Tensor]) -> Tensor:
+        side, _, plane = name.rpartition(".")
+        if side == "new":
+            return self._buffers[f"{self._made % 2}.new.{plane}"]
+        if not side:
+            return given.get(name) or self._buffers[name]
+        age = 0 if side == "after" else 1
+        if plane in ROLES:
+            return self._frames[-1 - age][Role(plane)]
+        return self._buffers[f"{(self._count - age) % 2}.after.{plane}"]
+
+    def _table(self, kernel: Kernel, tensors: dict[str, Tensor]) -> ArgumentTable:
+        """A kernel's tensors, as bound before."""
+        state = self._device.compute_state(kernel)
+        return self._tables.get_or_make((kernel, *tensors.values()), lambda: ArgumentTable(state, tensors))
+
+    def _run(self, label: str, steps: Iterable[Iterable[Step]], given: Mapping[str, Tensor]) -> float:
+        """Run steps; milliseconds."""
+        commands = self._device.command_buffer(f"interpolate {label}")
+        with commands.compute_encoder(label) as encoder:
+            encoder.barrier(after="compute", before="compute")
+            for group in steps:
+                for kernel, buffers in group:
+                    table = self._table(kernel, {key: self._buffer(name, given) for key, name in buffers.items()})
+                    encoder.dispatch(table.state, table)
+                encoder.barrier()
+        commands.commit()
+        commands.wait()
+        return sum(milliseconds for _, milliseconds in commands.timings)

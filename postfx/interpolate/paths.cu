@@ -1,0 +1,346 @@
+// Paths of cells (rows, columns), as paths.py makes them. Cells are those of the frames' planes of motion.
+
+// Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of cells of scale[0] x scale[0] pixels: means of
+// those of the nearest surface: motion (h, w, 2), depth (h, w, 1).
+extern "C" __global__ void interpolate_gather(View motion, View depth, View scale, View cells, View cell_depth) {
+    const int rows = cell_depth.size[0], columns = cell_depth.size[1], h = depth.size[0], w = depth.size[1];
+    PIXEL(columns, rows);
+    const int size = int(scale.at[0]), most = 4 * max(h, w);
+    const int top = y * size, low = min(top + size - 1, h - 1), left = x * size, right = min(left + size - 1, w - 1);
+    const size_t at[4] = {size_t(top) * w + left, size_t(top) * w + right, size_t(low) * w + left,
+                          size_t(low) * w + right};
+    float z[4], nearest = DEPTH_MISS, u = 0.0f, v = 0.0f, count = 0.0f;
+    for (int k = 0; k < 4; k++) {
+        z[k] = depth.at[at[k]];
+        z[k] = z[k] < DEPTH_MISS ? z[k] : DEPTH_MISS;  // NaN, too
+        nearest = fminf(nearest, z[k]);
+    }
+    nearest = fmaxf(nearest, 1e-6f);
+    for (int k = 0; k < 4; k++) {
+        const Pair by = pair(motion, at[k]);
+        if (fabsf(by.x) <= most && fabsf(by.y) <= most && z[k] <= nearest * (1.0f + ALIKE)) {
+            u += by.x;
+            v += by.y;
+            count += 1.0f;
+        }
+    }
+    const size_t cell = size_t(y) * columns + x;
+    const float share = 1.0f / (count * size);  // of none, motion is 0 times infinity, NaN
+    pair(cells, cell) = {u * share, v * share};
+    cell_depth.at[cell] = nearest;
+}
+
+// What arrives at each cell from the frame after, whose motion is (rows, columns, 2): keys (rows, columns, 2) of depth
+// and index, so that the nearest wins, and the first of equal ones.
+extern "C" __global__ void interpolate_forget(View keys) {
+    PIXEL(keys.size[1], keys.size[0]);
+    reinterpret_cast<unsigned long long*>(keys.at)[size_t(y) * keys.size[1] + x] = ~0ULL;
+}
+
+extern "C" __global__ void interpolate_arrive(View motion, View depth, View keys) {
+    const int rows = keys.size[0], columns = keys.size[1];
+    PIXEL(columns, rows);
+    const int cell = y * columns + x;
+    const Pair by = pair(motion, cell);
+    const float u = x + 0.5f + by.x, v = y + 0.5f + by.y;
+    if (!(0.0f <= u && u < columns && 0.0f <= v && v < rows)) return;  // NaN, too
+    const unsigned long long key = static_cast<unsigned long long>(__float_as_uint(depth.at[cell])) << 32 | unsigned(cell);
+    atomicMin(reinterpret_cast<unsigned long long*>(keys.at) + int(v) * columns + int(u), key);
+}
+
+__device__ inline Pair led_to(const View& keys, const View& motion, int cell) {
+    const unsigned long long key = reinterpret_cast<const unsigned long long*>(keys.at)[cell];
+    if (key == ~0ULL) return {LOST, LOST};
+    const Pair by = pair(motion, unsigned(key));
+    return {-by.x, -by.y};
+}
+
+// Whether motion around a place changes from cell to cell by so much that it matters where it is taken.
+__device__ inline bool is_sloping(const View& motion, float v, float u) {
+    const int h = motion.size[0], w = motion.size[1];
+    if (!(u >= 0.0f && v >= 0.0f && u < float(w - 1) && v < float(h - 1))) return false;
+    const int at = int(v) * w + int(u);
+    const Pair p = pair(motion, at), q = pair(motion, at + 1), r = pair(motion, at + w), s = pair(motion, at + w + 1);
+    return fmaxf(fabsf(p.x - s.x), fabsf(p.y - s.y)) > EXACT || fmaxf(fabsf(q.x - r.x), fabsf(q.y - r.y)) > EXACT;
+}
+
+// Whether motion goes on evenly between the four cells around a place, the motion there, and its slopes.
+struct Sloped {
+    bool is_even;
+    float x, y, right, across, down, under;
+};
+
+__device__ inline Sloped sample_two(const View& motion, float v, float u) {
+    const int h = motion.size[0], w = motion.size[1];
+    if (!(u >= 0.0f && v >= 0.0f && u < float(w - 1) && v < float(h - 1))) return {};
+    const int j = int(v), i = int(u), at = j * w + i;
+    const float y = v - j, x = u - i;
+    const Pair p = pair(motion, at), q = pair(motion, at + 1), r = pair(motion, at + w), s = pair(motion, at + w + 1);
+    const float most = fmaxf(
+        fmaxf(fmaxf(fabsf(q.x - p.x), fabsf(s.x - r.x)), fmaxf(fabsf(r.x - p.x), fabsf(s.x - q.x))),
+        fmaxf(fmaxf(fabsf(q.y - p.y), fabsf(s.y - r.y)), fmaxf(fabsf(r.y - p.y), fabsf(s.y - q.y))));
+    const float down = r.x - p.x + x * (s.x - r.x - q.x + p.x), under = r.y - p.y + x * (s.y - r.y - q.y + p.y);
+    // a NaN among them is not uneven motion, but none
+    const bool is_even = most <= 1.0f && p.x + q.x + r.x + s.x == p.x + q.x + r.x + s.x;
+    return {is_even, p.x + x * (q.x - p.x) + y * down, p.y + x * (q.y - p.y) + y * under,
+            q.x - p.x + y * (s.x - r.x - q.x + p.x), q.y - p.y + y * (s.y - r.y - q.y + p.y), down, under};
+}
+
+// Motion of the frame before to the one after (rows, columns, 2): what arrived, cracks of one cell filled from the
+// neighbour whose depth (rows, columns, 1) is most alike; LOST elsewhere.
+__device__ inline bool fills(const View& depth, int y, int x, float own, Pair found, float& best) {
+    const float unlike = fabsf(depth.at[y * depth.size[1] + x] / own - 1.0f);
+    if (!(found.x < LOST && unlike < best)) return false;
+    best = unlike;
+    return true;
+}
+
+extern "C" __global__ void interpolate_invert(View keys, View motion, View depth, View inverse) {
+    const int rows = keys.size[0], columns = keys.size[1];
+    PIXEL(columns, rows);
+    const int cell = y * columns + x;
+    Pair own = led_to(keys, motion, cell);
+    if (own.x >= LOST) {
+        float best = SIMILAR;
+        for (int j = max(0, y - 1); j < min(rows, y + 2); j++) {
+            for (int i = max(0, x - 1); i < min(columns, x + 2); i++) {
+                const Pair found = led_to(keys, motion, j * columns + i);
+                if (fills(depth, j, i, depth.at[cell], found, best)) own = found;
+            }
+        }
+    }
+    pair(inverse, cell) = own;
+}
+
+// The same once more, and led to the places between cells whose motion leads back, by a step of Newton's method.
+extern "C" __global__ void interpolate_refine(View inverse, View motion, View depth, View ahead) {
+    const int rows = inverse.size[0], columns = inverse.size[1];
+    PIXEL(columns, rows);
+    const int cell = y * columns + x;
+    Pair own = pair(inverse, cell);
+    if (own.x >= LOST) {
+        float best = SIMILAR;
+        for (int j = max(0, y - 1); j < min(rows, y + 2); j++) {
+            for (int i = max(0, x - 1); i < min(columns, x + 2); i++) {
+                const Pair found = pair(inverse, j * columns + i);
+                if (fills(depth, j, i, depth.at[cell], found, best)) own = found;
+            }
+        }
+    }
+    if (is_sloping(motion, y + own.y, x + own.x)) {
+        const Sloped there = sample_two(motion, y + own.y, x + own.x);
+        const float dx = own.x + there.x, dy = own.y + there.y, most = fmaxf(fabsf(dx), fabsf(dy));
+        const float a = 1.0f + there.right, d = 1.0f + there.under, area = a * d - there.down * there.across;
+        if (there.is_even && EXACT < most && most <= 1.0f && fabsf(area) > 0.2f)
+            own = {own.x - (d * dx - there.down * dy) / area, own.y - (a * dy - there.across * dx) / area};
+    }
+    pair(ahead, cell) = own;
+}
+
+// Whether one of the four cells around a place, where a motion led, shows something nearer that does not lead back.
+__device__ inline bool is_touched(const View& back, const View& depth, float v, float u, Pair by, float z) {
+    const int h = depth.size[0], w = depth.size[1], j = int(floorf(v)), i = int(floorf(u));
+    for (int b = max(j, 0); b < min(j + 2, h); b++) {
+        for (int a = max(i, 0); a < min(i + 2, w); a++) {
+            const Pair found = pair(back, b * w + a);
+            const bool leads_back = fabsf(found.x + by.x) <= SEEN && fabsf(found.y + by.y) <= SEEN;
+            if (depth.at[b * w + a] < COVERS * z && !leads_back) return true;
+        }
+    }
+    return false;
+}
+
+__device__ inline float swing_of(float cosine) {
+    const float half = sqrtf(0.5f + 0.5f * fminf(fmaxf(cosine, LEAST_COSINE), 1.0f));
+    return 2.0f / ((1.0f + half) * half);
+}
+
+// Paths of the frame after: ends (rows, columns, 4), bend (rows, columns, 2), seen (rows, columns, 1). facts: whether
+// the motion `came` of the frame before is known, and what jitters of both frames add to the ends.
+extern "C" __global__ void interpolate_lead_back(View motion, View ahead, View depth_before, View depth_after, View came,
+                                                 View facts, View ends, View bend, View seen) {
+    const int h = seen.size[0], w = seen.size[1];
+    PIXEL(w, h);
+    const int cell = y * w + x;
+    const Pair by = pair(motion, cell);
+    const float u = x + by.x + 0.5f, v = y + by.y + 0.5f;
+    Pair bent = {0.0f, 0.0f};
+    bool is_seen = false;
+    if (0.0f <= u && u < w && 0.0f <= v && v < h) {
+        const int there = int(v) * w + int(u);
+        const Pair back = pair(ahead, there);
+        const bool same = fabsf(back.x + by.x) <= SEEN && fabsf(back.y + by.y) <= SEEN;
+        is_seen = same && !is_touched(ahead, depth_before, v - 0.5f, u - 0.5f, by, depth_after.at[cell]);
+        if (facts.at[0] > 0.0f && same) {
+            Pair c = pair(came, there);
+            if (is_sloping(came, v - 0.5f, u - 0.5f)) {
+                const Sloped found = sample_two(came, v - 0.5f, u - 0.5f);
+                if (found.is_even) c = {found.x, found.y};
+            }
+            // where it is what this motion becomes if all goes round one point, so is the motion ahead
+            const Sloped own = sample_two(motion, float(y), float(x));
+            const float a = 1.0f + own.right, d = 1.0f + own.under, area = a * d - own.down * own.across;
+            float bx = c.x - by.x, by_ = c.y - by.y, ax = 0.0f, ay = 0.0f;
+            int count = 1;
+            if (own.is_even && area > 0.5f) {
+                const Pair p = {a * by.x + own.down * by.y, own.across * by.x + d * by.y};
+                const Pair q = {(own.down * by.y - d * by.x) / area, (own.across * by.x - a * by.y) / area};
+                if (fmaxf(fabsf(c.x - p.x), fabsf(c.y - p.y)) <= ROUNDLY * fmaxf(fabsf(by.x), fabsf(by.y))) {
+                    count = 2;
+                    bx = p.x - by.x, by_ = p.y - by.y;
+                    ax = q.x + by.x - bx, ay = q.y + by.y - by_;
+                    bx += q.x + by.x, by_ += q.y + by.y;
+                }
+            }
+            const float size = fabsf(bx) + fabsf(by_), length = by.x * by.x + by.y * by.y;
+            const bool is_round = count == 2 && fabsf(ax) + fabsf(ay) <= ROUND * size;
+            if (is_round || size <= SPRUNG * (fabsf(by.x) + fabsf(by.y)) * count) {
+                float share = 0.5f / count;
+                if (count == 2 && length > 1.0f) share *= swing_of(1.0f - (ax * by.x + ay * by.y) / (2.0f * length));
+                bent = {share * bx, share * by_};
+            }
+        }
+    }
+    const float* const jitter = facts.at + 1;
+    four(ends, cell) = {by.x + jitter[0], by.y + jitter[1], jitter[2], jitter[3]};
+    pair(bend, cell) = bent;
+    seen.at[cell] = is_seen;
+}
+
+// Paths of the frame before: to where the frame after shows the point, or straight on.
+extern "C" __global__ void interpolate_lead_ahead(View ahead, View motion, View depth_before, View depth_after,
+                                                  View came, View facts, View bend_after, View ends, View bend,
+                                                  View seen) {
+    const int h = seen.size[0], w = seen.size[1];
+    PIXEL(w, h);
+    const int cell = y * w + x;
+    Pair by = pair(ahead, cell), bent = {0.0f, 0.0f};
+    bool is_seen = false;
+    if (by.x < LOST) {
+        const int there = within(int(y + by.y + 0.5f), h) * w + within(int(x + by.x + 0.5f), w);
+        const Pair back = pair(motion, there);
+        if (fabsf(back.x + by.x) <= SEEN && fabsf(back.y + by.y) <= SEEN) {  // else a filled crack
+            bent = pair(bend_after, there);
+            if (is_sloping(bend_after, y + by.y, x + by.x)) {
+                const Sloped found = sample_two(bend_after, y + by.y, x + by.x);
+                if (found.is_even) bent = {found.x, found.y};
+            }
+            is_seen = !is_touched(motion, depth_after, y + by.y, x + by.x, by, depth_before.at[cell]);
+        }
+    } else {
+        const Pair on = pair(came, cell);
+        by = facts.at[0] > 0.0f ? Pair{-on.x, -on.y} : Pair{__int_as_float(0x7fc00000), __int_as_float(0x7fc00000)};
+    }
+    const float* const jitter = facts.at + 1;
+    four(ends, cell) = {jitter[0], jitter[1], by.x + jitter[2], by.y + jitter[3]};
+    pair(bend, cell) = bent;
+    seen.at[cell] = is_seen;
+}
+
+// What arrives at each cell at time[0]: least depth (rows, columns, 1), then sums (rows, columns, 8) of the nearest
+// surface's paths: to both frames, seen, weight. Both begin as FAR and 0.
+extern "C" __global__ void interpolate_clear(View nearest, View sums) {
+    PIXEL(nearest.size[1], nearest.size[0]);
+    const size_t cell = size_t(y) * nearest.size[1] + x;
+    nearest.at[cell] = FAR;
+    four(sums, 2 * cell) = four(sums, 2 * cell + 1) = {0.0f, 0.0f, 0.0f, 0.0f};
+}
+
+// Neighbouring floats added in one transfer where a GPU can do that.
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
+__device__ inline void add_four(float* to, float x, float y, float z, float w) {
+    asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(to), "f"(x), "f"(y), "f"(z), "f"(w) : "memory");
+}
+
+__device__ inline void add_two(float* to, float x, float y) {
+    asm volatile("red.global.add.v2.f32 [%0], {%1, %2};" ::"l"(to), "f"(x), "f"(y) : "memory");
+}
+#else
+__device__ inline void add_two(float* to, float x, float y) {
+    atomicAdd(to, x);
+    atomicAdd(to + 1, y);
+}
+
+__device__ inline void add_four(float* to, float x, float y, float z, float w) {
+    add_two(to, x, y);
+    add_two(to + 2, z, w);
+}
+#endif
+
+// Where a path is at a time, from its cell.
+__device__ inline Pair way_at(const Four& end, const Pair& bent, float t) {
+    const float s = t * (t - 1.0f);
+    return {end.x + t * (end.z - end.x) + s * bent.x, end.y + t * (end.w - end.y) + s * bent.y};
+}
+
+extern "C" __global__ void interpolate_nearest(View ends, View bend, View depth, View time, View nearest) {
+    const int h = nearest.size[0], w = nearest.size[1];
+    PIXEL(w, h);
+    const int cell = y * w + x;
+    const Pair by = way_at(four(ends, cell), pair(bend, cell), time.at[0]);
+    const float u = x + 0.5f + by.x, v = y + 0.5f + by.y;
+    if (!(0.0f <= u && u < w && 0.0f <= v && v < h)) return;
+    // as whole numbers, positive floats have the same order
+    atomicMin(reinterpret_cast<int*>(nearest.at) + int(v) * w + int(u), __float_as_int(depth.at[cell]));
+}
+
+extern "C" __global__ void interpolate_means(View ends, View bend, View depth, View seen, View time, View nearest,
+                                             View sums) {
+    const int h = nearest.size[0], w = nearest.size[1];
+    PIXEL(w, h);
+    const int cell = y * w + x;
+    const Four end = four(ends, cell);
+    const Pair by = way_at(end, pair(bend, cell), time.at[0]);
+    const float u = x + by.x, v = y + by.y, z = depth.at[cell];
+    if (!(u > -1.0f && v > -1.0f && u < float(w) && v < float(h))) return;
+    const int i = int(floorf(u)), j = int(floorf(v));
+    for (int b = max(j, 0); b < min(j + 2, h); b++) {
+        for (int a = max(i, 0); a < min(i + 2, w); a++) {
+            const float weight = (1.0f - fabsf(u - a)) * (1.0f - fabsf(v - b)), front = nearest.at[b * w + a];
+            if (!(weight > 0.0f && fabsf(z - front) <= ALIKE * front)) continue;
+            float* const to = sums.at + 8 * size_t(b * w + a);
+            add_four(to, weight * (end.x - by.x), weight * (end.y - by.y), weight * (end.z - by.x),
+                     weight * (end.w - by.y));
+            add_two(to + 4, weight * seen.at[cell], weight);
+        }
+    }
+}
+
+// Means of the sums, in place of them, and their depth: cells where nothing arrived get those of two neighbours on
+// opposite sides, or NaN and FAR. `shift`: what jitters of both frames take off again.
+struct Arrived {
+    float path[5];
+};
+
+__device__ inline Arrived mean_of(const View& sums, int cell) {
+    const Four p = four(sums, 2 * cell), q = four(sums, 2 * cell + 1);
+    return {{p.x / q.y, p.y / q.y, p.z / q.y, p.w / q.y, q.x / q.y}};
+}
+
+extern "C" __global__ void interpolate_close(View nearest, View sums, View facts, View side, View depth) {
+    const int h = nearest.size[0], w = nearest.size[1];
+    PIXEL(w, h);
+    const int cell = y * w + x;
+    float front = nearest.at[cell];
+    Arrived found = {{__int_as_float(0x7fc00000), 0.0f, 0.0f, 0.0f, 0.0f}};
+    if (front < FAR) {
+        found = mean_of(sums, cell);
+    } else {
+        float best = FAR;
+        const int down[4] = {0, 1, 1, 1}, right[4] = {1, 0, 1, -1};
+        for (int k = 0; k < 4; k++) {
+            const int j = down[k], i = right[k], step = j * w + i;
+            if (y < j || y >= h - j || x < abs(i) || x >= w - abs(i)) continue;
+            const float one = nearest.at[cell - step], other = nearest.at[cell + step];
+            if (!(one < FAR && fabsf(one - other) <= ALIKE * one && one < best)) continue;
+            best = one;
+            const Arrived p = mean_of(sums, cell - step), q = mean_of(sums, cell + step);
+            for (int c = 0; c < 5; c++) found.path[c] = 0.5f * (p.path[c] + q.path[c]);
+            front = 0.5f * (one + other);
+        }
+    }
+    const float *const p = found.path, *const shift = facts.at + 5;
+    four(side, 2 * cell) = {p[0] - shift[0], p[1] - shift[1], p[2] - shift[2], p[3] - shift[3]};
+    four(side, 2 * cell + 1) = {p[4], 0.0f, 0.0f, 0.0f};
+    depth.at[cell] = front;
+}
