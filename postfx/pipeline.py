@@ -86,6 +86,7 @@ class Pipeline:
         self._own_device = device
         self._cuts = cuts
         self._views: dict[str, Pipeline] = {}
+        self._lent: tuple[dict[Role, Tensor], dict[Role, Tensor]] = {}, {}  # the last frame's, in the device's memory
 
     def __reduce__(self) -> tuple[Callable[..., Pipeline], tuple[Any, ...]]:
         """Pickled by its arguments: the copy is not compiled and has no history. Without a device of its own it
@@ -186,8 +187,10 @@ class Pipeline:
         ExposureError for a multiplier that is not above 0.
         """
         try:
-            tensors = share_planes(self.device, "plane", planes)
-            sharp = share_planes(self.device, "guide", guides or {})
+            lent, lent_guides = self._lent
+            tensors = share_planes(self.device, "plane", planes, lent)
+            sharp = share_planes(self.device, "guide", guides or {}, lent_guides)
+            self._lent = tensors, sharp
             spec = spec_of(tensors, sharp, encoding)
             plan, self.ahead, self.cut, self.bad_pixels = self._make_plan(spec), (), reset, {}
             if reset:

@@ -12,11 +12,12 @@ import pytest
 
 import postfx
 from postfx.frame import ROLES, Frame, Role
-from postfx.runtime import Device
+from postfx.runtime import CommandBuffer, Device
 from postfx.runtime.hazards import Footprint
 
 PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
 WARM = 10
+TAGS = "aces2", "local"
 
 
 def frame(number: int) -> Frame:
@@ -88,3 +89,39 @@ def test_planes_in_the_same_memory_are_known_again(monkeypatch: pytest.MonkeyPat
         gone.append(weakref.ref(new[Role.COLOUR]))
         del new
         assert [held() is None for held in gone] == number * [True] + [False]
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("away", [False, True])
+def test_commands_of_a_steady_frame_are_recorded_once(
+    masked: bool, away: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From then on no pass begins an encoder, and results are those of a pipeline that records every frame: also where
+    two masks come in turn, whose rows lie in the same transient memory."""
+    begun: list[str] = []
+    start = CommandBuffer._start
+    monkeypatch.setattr(CommandBuffer, "_start", lambda self, encoder: begun.append(encoder.label)
+                        or start(self, encoder))
+    device = Device("cpu", threads=1)
+    again, anew = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap(tag=TAGS[masked])], device, 0.5,
+                                   cuts="none") for _ in range(2))
+    for what in ("passage", "find"):
+        monkeypatch.setattr(anew._flow._recordings, what, lambda key: None)
+    lasting = frame(1)
+    masks = np.zeros((2, 135, 240, 1), np.float32)
+    masks[0, :20], masks[1, 8:12] = 1, 0.5
+    strength = np.zeros((135, 240, 1), np.float32)
+    shown = Frame({**lasting.planes, **({Role.STRENGTH: strength} if masked else {})})
+    for number in range(12):
+        strength[...] = masks[number // 2 % 2]
+        expected, before = run(anew, shown, away), len(begun)
+        found = run(again, shown, away)
+        assert len(begun) == before or number < 8
+        np.testing.assert_array_equal(found, expected)
+
+
+def run(chain: postfx.Pipeline, shown: Frame, away: bool) -> np.ndarray:
+    """The colour that comes out, of planes that stay in the device's memory or not."""
+    if not away:
+        return chain(shown)[Role.COLOUR]
+    return chain.on_device(shown.planes, 2.0 ** 0.5)[Role.COLOUR].download()

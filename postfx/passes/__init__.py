@@ -169,8 +169,10 @@ class Downloads(MutableMapping[Role, "np.ndarray"]):
         return self._copies.pop(role, default)
 
 
-def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any]) -> dict[Role, Tensor]:
-    """Arrays of any library as tensors of the device; `kind` is what messages call them.
+def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any],
+                 last: Mapping[Role, Tensor] = MappingProxyType({})) -> dict[Role, Tensor]:
+    """Arrays of any library as tensors of the device; `kind` is what messages call them. Those of the `last` frame are
+    taken again for arrays in the same memory, so that its commands are known again.
 
     Raises FrameError for an unknown role, a wrong shape or type, BindingError for what cannot be read.
     """
@@ -180,7 +182,8 @@ def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any]) ->
             role = Role(name)
         except ValueError:
             raise FrameError(f"{kind} '{name}' has no meaning here: roles are {', '.join(Role)}") from None
-        found[role] = tensor = device.wrap(str(role), plane)
+        tensor, before = device.wrap(str(role), plane), last.get(role)
+        found[role] = tensor = before if before and before.is_same_memory(tensor) else tensor
         if tensor.dtype != "float32" or len(tensor.shape) != 3 or tensor.shape[2] != ROLES[role].channels:
             raise FrameError(f"{kind} '{role}' is {tensor.shape} {tensor.dtype}: it needs (height, width, "
                              f"{ROLES[role].channels}) float32")

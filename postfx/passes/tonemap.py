@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Never
 
@@ -190,19 +191,26 @@ class ToneMap(Pass):
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         self._params.upload(np.array([frame.exposure, self._shaper.toe, self._shaper.scale], np.float32))
+        colour = frame[Role.COLOUR]
         if self._kind:
-            self._encode_network(commands, frame, self._kind)
+            past = self._fresh and not frame.reset
+            self._pace.upload(np.array([*self._following, past, self._shaper.scale], np.float32))
+            self._history.reverse()
+            commands.repeat((self, self._output, colour, self._history[0].light),
+                            partial(self._encode_network, commands, colour, self._kind))
+            self._fresh = True
         else:
-            self._tables["show"]["colour"] = frame[Role.COLOUR]
-            with commands.compute_encoder("cube") as encoder:
-                encoder.barrier(after=("compute", "machine-learning"), before="compute")
-                encoder.dispatch(self._tables["show"].state, self._tables["show"])
+            commands.repeat((self, self._output, colour), partial(self._encode_cube, commands, colour))
         frame.set(Role.COLOUR, self._output)
 
-    def _encode_network(self, commands: CommandBuffer, frame: ResidentFrame, kind: _Kind) -> None:
-        past = self._fresh and not frame.reset
-        self._pace.upload(np.array([*self._following, past, self._shaper.scale], np.float32))
-        self._bind(frame[Role.COLOUR], kind)
+    def _encode_cube(self, commands: CommandBuffer, colour: Tensor) -> None:
+        self._tables["show"]["colour"] = colour
+        with commands.compute_encoder("cube") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            encoder.dispatch(self._tables["show"].state, self._tables["show"])
+
+    def _encode_network(self, commands: CommandBuffer, colour: Tensor, kind: _Kind) -> None:
+        self._bind(colour, kind)
         with commands.compute_encoder("lowres") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._tables["lowres"].state, self._tables["lowres"])
@@ -218,11 +226,9 @@ class ToneMap(Pass):
             encoder.dispatch(self._tables["hold"].state, self._tables["hold"])
             encoder.barrier()
             encoder.dispatch(self._tables["show"].state, self._tables["show"])
-        self._fresh = True
 
     def _bind(self, colour: Tensor, kind: _Kind) -> None:
-        """Bind the frame's colour, and swap the two halves of the history."""
-        self._history.reverse()
+        """Bind the frame's colour and the two halves of the history, which swap from frame to frame."""
         previous, result = self._history
         self._tables["lowres"]["colour"] = colour
         self._tables["follow"]["before"], self._tables["follow"]["after"] = previous.light, result.light

@@ -20,6 +20,7 @@ from postfx.runtime.encoders import (
     Encoder,
     KnownCommands,
     MachineLearningEncoder,
+    Passage,
     Record,
     Recordings,
 )
@@ -31,6 +32,7 @@ from postfx.runtime.tensor import Allocation, Tensor
 from postfx.runtime.threads import CommandQueue, Slots, timeout_error
 
 E = TypeVar("E", bound="Encoder")
+R = TypeVar("R")
 
 _STATES = {
     "committed": "it was committed, call wait() first",
@@ -83,6 +85,7 @@ class CommandBuffer:
         self._placement: Placement | None = None
         self._footprint: Footprint | None = None
         self._groups: list[str] = []
+        self._passages: list[Passage] = []
         self._encoder: Encoder | None = None
         self._state = "open"
         self._done = threading.Event()
@@ -104,7 +107,7 @@ class CommandBuffer:
         self._require_no_encoder("begin again")
         self.label = self.label if label is None else label
         self.records, self._kept, self._placement, self._footprint = [], set(), None, None
-        self._error, self._timings, self._handlers = None, {}, []
+        self._error, self._timings, self._handlers, self._passages = None, {}, [], []
         self._state = "open"
         self.device.hazards.open(self)
 
@@ -130,6 +133,27 @@ class CommandBuffer:
         tensors is committed. Raises EncodingError after commit."""
         self._require_open()
         self._kept.update(tensor.allocation for tensor in tensors)
+
+    def repeat(self, key: tuple[object, ...], record: Callable[[], R]) -> R:
+        """Let `record` record some commands, or repeat what it recorded for an equal `key` in a buffer before; returns
+        what it returned. The key holds all tensors that the commands use and the caller may change, and whatever else
+        they depend on. `record` touches nothing but this buffer.
+        """
+        if self.known is None:
+            return record()
+        self._require_open()
+        self._require_no_encoder("repeat commands")
+        key = (*self._groups, *key)
+        passage = self.known.passage(key)
+        if passage is None:
+            first, result = len(self.records), record()
+            passage = Passage(self.records[first:], result)
+            self.known.keep_passage(key, passage)
+        else:
+            self.records += passage.records
+        self._passages.append(passage)
+        known: R = passage.result
+        return known
 
     def add_completed_handler(self, handler: Callable[[CommandBuffer], None]) -> None:
         """Call `handler(buffer)` whenever the commands are done or one has failed, on a thread of the device.
@@ -163,7 +187,7 @@ class CommandBuffer:
             self._place()
             stands_apart = self.device.hazards.commit(self)
             if self.known and key:
-                self.known.keep(key, KnownCommands(self.records, self._placement, self.footprint()))
+                self.known.keep(key, KnownCommands(self.records, self._placement, self.footprint(), self._passages))
             self.device.heap.arena.give_back()
             self._state = "committed"
             capture = self.device.active_capture if self.captured else None
@@ -251,11 +275,11 @@ class CommandBuffer:
         Nothing may be in flight, as barriers of equal encoders cannot be told apart."""
         if self.known is None or self._placement or self._footprint or self.device.hazards.in_flight():
             return None
-        key = self.known.key(self.records, self._kept)
+        key = self.known.key(self.records, self._kept, self._passages)
         again = self.known.find(key)
         if again is None:
             return key
-        self.records, self._placement, self._footprint = again
+        self.records, self._placement, self._footprint, _ = again
         return None
 
     def _place(self) -> None:
@@ -417,7 +441,12 @@ class Execution:
 
     def _execute(self, dispatch: Dispatch) -> list[Span]:
         memory = self._memory
-        spans = self._enqueue([dispatch])
+        if self._footprint.narrow:
+            spans = self._enqueue([dispatch])
+        else:
+            begin = memory.mark()
+            _work(dispatch)()
+            spans = [Span(dispatch.encoder, dispatch.label, begin, memory.mark())]
         memory.relax()
         for tensor in dispatch.writes:
             if tensor.allocation.lost:

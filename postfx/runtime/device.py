@@ -28,7 +28,7 @@ from postfx.runtime.model_file import fix_dimensions
 from postfx.runtime.models import Library
 from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, ort, parse_provider
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
-from postfx.runtime.tensor import DTYPES, Allocation, Tensor, size_in_bytes
+from postfx.runtime.tensor import DTYPES, Allocation, Tensor, name_of, size_in_bytes
 from postfx.runtime.threads import CommandQueue, Helpers, Slots, wait_for_all
 from postfx.system import Scratch, usable_cores
 from postfx.version import pip_install
@@ -160,7 +160,7 @@ class Device:
         strided = None if array.flags.c_contiguous else array
         first, end = (address(array), address(array) + array.nbytes) if strided is None else byte_span(array)
         allocation = Allocation(name, first, end - first, owner=array, writable=array.flags.writeable)
-        tensor = Tensor(self, name, array.shape, array.dtype.name, allocation, strided=strided)
+        tensor = Tensor(self, name, array.shape, name_of(array.dtype), allocation, strided=strided)
         self.hazards.mark_written(tensor)
         return tensor
 

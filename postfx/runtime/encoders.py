@@ -92,26 +92,51 @@ MOST_RECORDINGS = 4
 """Recordings that are known again: histories swap from frame to frame, and some frames are unlike others."""
 
 
+MOST_PASSAGES = 4 * MOST_RECORDINGS
+"""Passages that are known again: a pass has one or two in a recording."""
+
+
+@dataclass(eq=False, slots=True)
+class Passage:
+    """Commands in a row that are recorded once and then repeated, and what recording them returned."""
+
+    records: list[Record]
+    result: Any
+
+
 class KnownCommands(NamedTuple):
-    """Commands that were committed before, the heap's `Placement` of their transient tensors or None, and the
-    `Footprint` of what they access; both types belong to modules above this one."""
+    """Commands that were committed before, the heap's `Placement` of their transient tensors or None, the `Footprint`
+    of what they access, and the passages in them; the first two types belong to modules above this one."""
 
     records: list[Record]
     placement: Any
     footprint: Any
+    passages: Sequence[Passage]
 
 
 class Recordings:
-    """Knows commands again that were recorded before, on the same tensors, so that they need not be placed and searched
-    for hazards anew. It keeps what they use alive."""
+    """Knows commands again that were recorded before, on the same tensors, so that they need not be recorded, placed
+    and searched for hazards anew. It keeps what they use alive."""
 
     def __init__(self) -> None:
         self._known: LRUCache[tuple[object, ...], KnownCommands] = LRUCache(MOST_RECORDINGS)
+        self._passages: LRUCache[tuple[object, ...], Passage] = LRUCache(MOST_PASSAGES)
 
-    def key(self, records: Sequence[Record], kept: Iterable[Allocation]) -> tuple[object, ...]:
-        """What two recordings that are alike have in common."""
-        first = records[0].encoder if records else 0
+    def passage(self, key: tuple[object, ...]) -> Passage | None:
+        """The passage that was recorded with this key."""
+        return self._passages[key] if key in self._passages else None
+
+    def keep_passage(self, key: tuple[object, ...], passage: Passage) -> None:
+        """Know this passage from now on."""
+        self._passages[key] = passage
+
+    def key(self, records: Sequence[Record], kept: Iterable[Allocation],
+            passages: Sequence[Passage] = ()) -> tuple[object, ...]:
+        """What two recordings that are alike have in common: the passages, if there is nothing else in them."""
         parts: list[object] = [frozenset(item for item in kept if isinstance(item, Transient))]
+        if sum([len(passage.records) for passage in passages]) == len(records):
+            return (*parts, *passages)
+        first = records[0].encoder if records else 0
         for record in records:
             parts.append(record.encoder - first)
             if isinstance(record, Dispatch):
@@ -136,10 +161,15 @@ class Recordings:
                     item.released or (item.borrowed and item not in users) for item in old.footprint.users):
                 self._known.drop(other)
         self._known[key] = recorded
+        alive = {passage for one in self._known for passage in self._known.peek(one).passages}
+        for name in list(self._passages):
+            if self._passages.peek(name) not in alive:
+                self._passages.drop(name)
 
     def clear(self) -> None:
         """Forget all commands."""
         self._known.clear()
+        self._passages.clear()
 
 
 _STAGES_TEXT = " and ".join(f"'{stage}'" for stage in STAGES)

@@ -57,8 +57,12 @@ class Hazards:
             self._check_order(commands, footprint)
             stands_apart = footprint.narrow and self._stands_apart(footprint)
             for allocation, ranges in footprint.writes.items():
-                for span in ranges.spans:
-                    allocation.written.add(*span)
+                if allocation.transient:  # it holds nothing from other buffers
+                    allocation.written.spans = ranges.spans
+                elif not footprint.filled:
+                    for span in ranges.spans:
+                        allocation.written.add(*span)
+            footprint.filled = True
             self._flying.append(commands)
             return stands_apart
 
@@ -102,6 +106,16 @@ class Hazards:
             allocation = tensor.allocation
             return not (self._flying or allocation.released or allocation.transient or allocation.lost) \
                 and allocation.written.covers(*tensor.span())
+
+    def is_free(self, tensor: Tensor) -> bool:
+        """Whether nothing is in flight or recorded that uses the tensor, so that the host may write it; if not, `state`
+        tells."""
+        with self._lock:
+            allocation = tensor.allocation
+            if self._flying or allocation.released or allocation.transient:
+                return False
+            return not any([_uses(record.reads, tensor) or _uses(record.writes, tensor) for commands in self._open
+                            for record in commands.records if isinstance(record, Dispatch)])
 
     def mark_written(self, tensor: Tensor) -> None:
         """Note that the tensor's content is now defined."""
@@ -156,7 +170,7 @@ class Hazards:
                 raise _released_error(tensor, dispatch)
         for need in footprint.needs.values():
             allocation = need.tensor.allocation
-            if not allocation.written.includes(need.missing):
+            if not footprint.filled and not allocation.written.includes(need.missing):
                 raise _undefined_error(need, footprint.dispatches)
             if allocation.lost and (failed := self._failure(allocation, need.missing)):
                 raise _lost_error(need, failed)
@@ -177,8 +191,10 @@ def _dispatches(buffers: Iterable[RecordedCommands]) -> Iterator[tuple[RecordedC
 
 def _uses(tensors: Iterable[Tensor], tensor: Tensor) -> bool:
     start, end = tensor.start, tensor.end
+    if start == end:
+        return False
     for other in tensors:  # a loop, as each upload asks this of all that is recorded
-        if other.start < end and start < other.end and tensor.nbytes and other.nbytes:
+        if other.start < end and start < other.end and other.start < other.end:
             return True
     return False
 
@@ -214,6 +230,7 @@ class Footprint:
         needs: the data that must exist before the commands run, by allocation and byte range of the tensor.
         writes: the data that exists afterwards.
         spans: the byte ranges of the dispatches' tensors, without repeats.
+        filled: whether they were committed before, so that what they need and write exists; that stays true.
         ordered: whether a search showed that barriers order all these commands; that stays true.
         narrow: whether some take fewer than all threads of their device, so that others may run beside them.
     """
@@ -225,7 +242,7 @@ class Footprint:
         self.needs: dict[tuple[Allocation, tuple[int, int]], Need] = {}
         self.writes: dict[Allocation, Ranges] = {}
         self.spans = _spans(self.dispatches)
-        self.ordered = False
+        self.filled = self.ordered = False
         self.narrow = any([item.state is not None and item.state.narrow for item in self.dispatches])
         for dispatch in self.dispatches:
             for tensor in dispatch.reads:

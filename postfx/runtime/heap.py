@@ -230,7 +230,7 @@ class Arena:
             before = self._new(records, kept)
         self._turn, self._label, self.plan = self._turn + 1, label, before.plan
         for (transient, allocation), taker in zip(before.places, before.plan.takers, strict=True):
-            allocation.written, allocation.released = Ranges(), transient.released
+            allocation.released = transient.released
             transient.place, transient.turn = allocation, self._turn
             transient.successor = None if taker is None else before.places[taker][0].name
         return before
@@ -256,7 +256,7 @@ class Arena:
         memory = self._memory_for(plan)
         places = [(item, item.at(memory, start)) for item, start in zip(transients, plan.offsets, strict=True)]
         for transient, allocation in places:
-            transient.place = allocation
+            transient.place, allocation.written = allocation, Ranges()
         return Placement([_with_memory(record) for record in records], plan, memory, places)
 
     def _plan(self, records: Sequence[Record], uses: Uses, kept: list[int], transients: list[Transient]) -> Plan:

@@ -128,6 +128,8 @@ class ContentStates(Protocol):
 
     def is_settled(self, tensor: Tensor) -> bool: ...
 
+    def is_free(self, tensor: Tensor) -> bool: ...
+
     def mark_written(self, tensor: Tensor) -> None: ...
 
 
@@ -158,6 +160,12 @@ def element_type(dtype: str) -> np.dtype[Any]:
         raise BindingError(f"tensors of bfloat16, which NumPy has not, need the package ml_dtypes: {fix}") from None
     found: np.dtype[Any] = np.dtype(bfloat16)
     return found
+
+
+@cache
+def name_of(dtype: np.dtype[Any]) -> str:
+    """The name of NumPy's type, which it makes anew each time."""
+    return dtype.name
 
 
 def size_in_bytes(shape: tuple[int, ...], dtype: str) -> int:
@@ -407,6 +415,11 @@ class Tensor:
         """Whether the two tensors share memory."""
         return self.start < other.end and other.start < self.end and self.nbytes > 0 and other.nbytes > 0
 
+    def is_same_memory(self, other: Tensor) -> bool:
+        """Whether this tensor, which must not be released, is all that the other is: the same elements in order."""
+        return not self.released and self.contiguous and other.contiguous and (self.start, self.shape, self.dtype) == (
+            other.start, other.shape, other.dtype)
+
     def host_view(self) -> np.ndarray:
         """Writable view for compiled kernels, made once; checks only that the host can see the memory."""
         if not self._device.memory.host_visible:
@@ -425,4 +438,5 @@ class Tensor:
             raise BindingError(f"tensor '{self.name}' is transient, so only commands write it: {fix}")
         if not self.allocation.writable:
             raise BindingError(f"tensor '{self.name}' wraps a read-only array: it cannot be written")
-        check_host_write(self.name, self.state)
+        if not self._device.hazards.is_free(self):
+            check_host_write(self.name, self.state)

@@ -195,6 +195,7 @@ class Frames:
         new, between = device.heap.tensor, device.heap.transient
         self._common = {"params": new("params", (4,)), "keep": new("keep", (1, 1, 1)),
                         "depth_scale": between("depth scale", (1,))}
+        self._kept: bool | None = None  # what the tensor 'keep' holds
         self._output = between("output", (sizes.height, sizes.width, 3))
         self._assembly = Assembly(device, sizes)
         self._scale = ArgumentTable(device.compute_state(SCALE),
@@ -210,7 +211,7 @@ class Frames:
     def beside(self, history: History) -> Frames:
         """The same networks for other frames of the same size, which have this history."""
         other, new = copy(self), self._device.heap.tensor
-        other._history = history
+        other._history, other._kept = history, None
         other._common = {**self._common, "params": new("params", (4,)), "keep": new("keep", (1, 1, 1))}
         return other
 
@@ -244,24 +245,34 @@ class Frames:
         """
         self._history.turn(commands, (self._sizes.h, self._sizes.w), keep)
         self._common["params"].upload(params)
-        self._common["keep"].fill(keep)
-        self._scale["depth"] = planes["depth"]
+        if keep != self._kept:
+            self._common["keep"].fill(keep)
+            self._kept = keep
+        seen = {**planes, **self._common, **self._history.last}
+        targets = {"output": self._output, **self._history.next, **written}
+        moves, masked = keep and not still, keep and self._reactive
+        kept = self._history.cover(band.rows_held if band and not layers else (0, self._sizes.h))
+        record = partial(self._record, commands, seen, targets, moves, masked, band, kept, layers)
+        if layers:  # whose tensors are many
+            record()
+        else:
+            commands.repeat((self, self.model, moves, masked, band, kept, *seen.values(), *targets.values()), record)
+        return targets["output"]
+
+    def _record(self, commands: CommandBuffer, seen: Mapping[str, Tensor], targets: dict[str, Tensor], moves: bool,
+                masked: bool, band: Band | None, kept: Rows, layers: Sequence[Layer]) -> None:
+        self._scale["depth"] = seen["depth"]
         with commands.compute_encoder("scale") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._scale.state, self._scale)
             if self._spread:
-                self._spread["reactive"] = planes["reactive"]
-                self._spread["next_reactive"] = self._history.next["next_reactive"]
+                self._spread["reactive"] = seen["reactive"]
+                self._spread["next_reactive"] = targets["next_reactive"]
                 encoder.dispatch(self._spread.state, self._spread)
-        seen = {**planes, **self._common, **self._history.last}
-        targets = {"output": self._output, **self._history.next, **written}
-        masked = keep and self._reactive
-        kept = self._history.cover(band.rows_held if band and not layers else (0, self._sizes.h))
         if band is None and self._whole:
-            self._encode_window(commands, self._whole, self._window, seen | targets, keep and not still, masked, layers)
+            self._encode_window(commands, self._whole, self._window, {**seen, **targets}, moves, masked, layers)
         for some in [band] if band else self._bands:
             self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own, layers)
-        return targets["output"]
 
     def rows(self, band: Band | None) -> Rows:
         """The rows of the output that are written by a frame, or by some tiles of it."""

@@ -6,6 +6,7 @@ the input by strength.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -322,13 +323,21 @@ class Plain:
         self._resampler = Resampler(device, "plain", Role.COLOUR, Size(spec.height, spec.width), output)
         self.output = self._resampler.output
 
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame,
-               parts: Sequence[tuple[Tensor, Rows]] = ()) -> Tensor:
-        """Record the work, for some rows of some tensors if `parts` are given; returns the colour at output size."""
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
+        """Record the work; returns the colour at output size."""
+        self.aim(frame)
+        self.run(commands, frame[Role.COLOUR])
+        return self.output
+
+    def aim(self, frame: ResidentFrame) -> None:
+        """Once a frame: its colour has samples at these places."""
+        self._resampler.aim(frame.jitter)
+
+    def run(self, commands: CommandBuffer, colour: Tensor, parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
+        """Record the work, for some rows of some tensors if `parts` are given."""
         with commands.compute_encoder("plain") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            self._resampler.encode(encoder, frame[Role.COLOUR], frame.jitter, (0.0, 0.0), parts)
-        return self.output
+            self._resampler.run(encoder, colour, parts)
 
 
 class Strength:
@@ -355,18 +364,27 @@ class Strength:
         if self.is_full(frame):
             unblended()
             return denoised
+        colour, strength = frame[Role.COLOUR], frame[Role.STRENGTH] if self._plane else None
+        self.plain.aim(frame)
+        if self._plane:
+            self._plane.aim(frame.jitter)
+        commands.repeat((self, colour, strength, denoised, rows),
+                        partial(self._record, commands, colour, strength, denoised, rows))
+        return self._output
+
+    def _record(self, commands: CommandBuffer, colour: Tensor, strength: Tensor | None, denoised: Tensor,
+                rows: Rows) -> None:
         others = (0, rows[0]), (rows[1], self._output.shape[0])
-        self.plain.encode(commands, frame, [(self.plain.output, rows), *((self._output, some) for some in others)])
+        self.plain.run(commands, colour, [(self.plain.output, rows), *((self._output, some) for some in others)])
         blended = {"plain": self.plain.output, "denoised": denoised, "strength": self._strength, "output": self._output}
         for name, tensor in blended.items():
             self._table[name] = rows_of(tensor, rows)
         with commands.compute_encoder("strength") as encoder:
             encoder.barrier(after="compute", before="compute")
-            if self._plane:
-                self._plane.encode(encoder, frame[Role.STRENGTH], frame.jitter, (0.0, 0.0), [(self._strength, rows)])
+            if self._plane and strength:
+                self._plane.run(encoder, strength, [(self._strength, rows)])
                 encoder.barrier()
             encoder.dispatch(self._table.state, self._table)
-        return self._output
 
     def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
                     rows: Rows, plain: Resampler, output: Tensor) -> Tensor:
