@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -101,11 +101,21 @@ def read_planes(
             pixels = read_channels(channels, (first, last))
             for role, match in alike.items():
                 piece = planes[role][first:last]
-                np.stack([pixels[channel] for channel in match.channels], axis=-1, out=piece)
+                put_together([pixels[channel] for channel in match.channels], piece)
                 found = convert(piece, match.rule, camera, first, size[1])
                 if found is not piece:
                     piece[:] = found
     return planes
+
+
+def put_together(channels: Sequence[np.ndarray], plane: np.ndarray) -> None:
+    """Write channels (rows, columns) side by side into a plane (rows, columns, channels)."""
+    from postfx.kernels.pixel_formats import interleave  # loads Numba, which headers must not wait for
+
+    if len(channels) == 3 and all(one.dtype == np.float32 and one.flags.carray for one in (*channels, plane)):
+        interleave(*channels, plane)
+    else:
+        np.stack(channels, axis=-1, out=plane)
 
 
 def _check(match: Match) -> None:

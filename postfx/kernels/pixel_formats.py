@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.numeric import Real, compiled
+from postfx.kernels.numeric import Real, compiled, inline
 
 ZERO, ONE = np.float32(0), np.float32(1)
 LARGEST = np.int32(0x477FE000)
@@ -20,6 +20,11 @@ SUBNORMALS = np.float32(2**24)
 """Half floats below the least normal one are whole numbers over this."""
 BYTE = np.uint32(128)
 """What is added to differences of bytes."""
+EIGHT, SIXTEEN, THIRTY_TWO, LAST = np.uint64(8), np.uint64(16), np.uint64(32), np.uint64(48)
+TOPS, BYTES, LANES = np.uint64(0x8080808080808080), np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
+LANE, HALF, LOW = np.uint64(0xFFFF), np.uint64(0xFFFFFFFF), np.uint64(0xFF)
+"""Places and masks of the bytes and of the lanes of 16 bits in a number of 64."""
+PIECE = 512
 
 
 @compiled
@@ -69,18 +74,73 @@ def predict_bytes(plain: np.ndarray, differences: np.ndarray) -> None:
         differences[half + i] = plain[2 * i + 1] - plain[2 * i - 1] + 128
 
 
+@inline
+def spread(two: Real) -> Real:
+    """Two lanes of 16 bits with a gap behind each."""
+    return (two & LANE) | ((two & (LANE << SIXTEEN)) << SIXTEEN)
+
+
+@compiled
+def add_up(differences: np.ndarray, before: Real, sums: np.ndarray, odds: np.ndarray) -> Real:
+    """Running sums of bytes that 128 was added to, eight of them a number, from `before` on: `sums` has those of odd
+    places in lanes of 16 bits, with bits above, and `odds` is what those of even places are less. Returns the last sum.
+
+    A product with ones adds up the lanes of each number. Only what comes before each number is added one by one.
+    """
+    for i in range(differences.size):
+        eight = differences[i] ^ TOPS
+        odds[i] = (eight >> EIGHT) & BYTES
+        sums[i] = ((eight & BYTES) + odds[i]) * LANES
+    for i in range(differences.size):
+        last = before + (sums[i] >> LAST)
+        sums[i] += before * LANES
+        before = last & LOW
+    return before
+
+
+@compiled
+def unpredict_eights(differences: np.ndarray, words: np.ndarray, low: Real, high: Real) -> None:
+    """What `unpredict_bytes` does, eight bytes at a time, in pieces that stay in the cache."""
+    count = words.size // 2
+    scratch = np.empty((4, PIECE), np.uint64)
+    for first in range(0, count, PIECE):
+        size = min(PIECE, count - first)
+        sums, odds, high_sums, high_odds = scratch[0, :size], scratch[1, :size], scratch[2, :size], scratch[3, :size]
+        low = add_up(differences[first : first + size], low, sums, odds)
+        high = add_up(differences[count + first : count + first + size], high, high_sums, high_odds)
+        found = words[2 * first : 2 * (first + size)]
+        for i in range(size):
+            even = ((sums[i] - odds[i]) & BYTES) | ((high_sums[i] - high_odds[i]) & BYTES) << EIGHT
+            odd = (sums[i] & BYTES) | (high_sums[i] & BYTES) << EIGHT
+            found[2 * i] = spread(even & HALF) | (spread(odd & HALF) << SIXTEEN)
+            found[2 * i + 1] = spread(even >> THIRTY_TWO) | (spread(odd >> THIRTY_TWO) << SIXTEEN)
+
+
 @compiled
 def unpredict_bytes(differences: np.ndarray, words: np.ndarray) -> None:
     """words (n,) uint16 = those whose bytes, the lower ones first, `predict_bytes` made into differences (2 n,)."""
-    half = words.size
+    half, done = words.size, 0
     low, high = np.uint32(0), np.uint32(0)
     for i in range(half):
         high += np.uint32(differences[i]) - BYTE
     low, high = BYTE, high + BYTE
-    for i in range(half):
+    if half % 8 == 0:
+        unpredict_eights(differences.view(np.uint64), words.view(np.uint64), np.uint64(low),
+                         np.uint64(high & np.uint32(0xFF)))
+        done = half
+    for i in range(done, half):
         low += np.uint32(differences[i]) - BYTE
         high += np.uint32(differences[half + i]) - BYTE
         words[i] = np.uint16(low & np.uint32(0xFF) | (high & np.uint32(0xFF)) << np.uint32(8))
+
+
+@compiled
+def interleave(first: np.ndarray, second: np.ndarray, third: np.ndarray, output: np.ndarray) -> None:
+    """output (rows, columns, 3) = three channels (rows, columns) side by side: all float32, rows without gaps."""
+    for y in range(output.shape[0]):
+        a, b, c, row = first[y], second[y], third[y], output[y].reshape(3 * first.shape[1])
+        for x in range(a.size):
+            row[3 * x], row[3 * x + 1], row[3 * x + 2] = a[x], b[x], c[x]
 
 
 @compiled

@@ -11,7 +11,9 @@ import pytest
 
 from postfx.errors import MissingFrameError, ReadError
 from postfx.io.exr.container import ExrContainer, ZipReader
+from postfx.io.frame_reader import put_together
 from postfx.io.image_file import ImageFile
+from postfx.kernels.pixel_formats import predict_bytes, unpredict_bytes
 
 
 def test_reads_only_the_named_channels(write_exr, ramp):
@@ -167,3 +169,25 @@ def test_a_forked_process_unpacks_with_threads_of_its_own(write_exr, ramp):
     alive = child.is_alive()
     child.kill()
     assert not alive and child.exitcode == 0
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 64, 4096 + 8, 3 * 4096, 12345])
+def test_bytes_that_were_predicted_come_back(count):
+    """However many there are: eights of them are summed another way, in pieces; also the largest and the smallest."""
+    rng = np.random.default_rng(count)
+    for words in (rng.integers(0, 1 << 16, count), np.full(count, 65535), np.arange(count) % 2 * 65535):
+        words = words.astype(np.uint16)
+        differences, found = np.empty(2 * count, np.uint8), np.empty(count, np.uint16)
+        predict_bytes(words.view(np.uint8), differences)
+        unpredict_bytes(differences, found)
+        np.testing.assert_array_equal(found, words)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("gaps", [False, True])
+def test_channels_are_put_side_by_side(count, gaps):
+    pixels = np.random.default_rng(count).random((5, 7, count, 1 + gaps), np.float32)[..., 0]
+    channels = [pixels[:, :, k] if gaps else np.ascontiguousarray(pixels[:, :, k]) for k in range(count)]
+    plane = np.empty((5, 7, count), np.float32)
+    put_together(channels, plane)
+    np.testing.assert_array_equal(plane, pixels)
