@@ -120,11 +120,18 @@ def test_the_time_of_masked_frames(tmp_path):
 
 def test_the_time_of_a_frame_is_fitted_and_a_farm_simulated(tmp_path):
     printed = run("time_model.py", "--models", "s", "--runs", "1", "--sizes", "96x64,192x128,384x256",
-                  "--full", "192x128", "--threads", "1", "-o", str(tmp_path / "a.png"))
-    (slope,) = re.findall(r"\+ (\d+) ms a megapixel", printed)
-    hours = list(map(float, re.findall(r"chunks of \d+ ([0-9.]+) h", printed)))
-    assert int(slope) > 0 and hours[0] > hours[2]  # chunks as small as the run-up before them take longer
+                  "--full", "192x128", "--threads", "1", "--what", "work,threads,farm", "-o", str(tmp_path / "a.png"))
+    assert len(re.findall(r"the model is [+-][0-9.]+ % off", printed)) == 3 + 5 + 3 + 1
+    hours = {(shot, size): float(value) for shot, size, value
+             in re.findall(r"shots of (\d+), chunks of (\d+): .*; ([0-9.]+) h", printed)}
+    assert hours["1000", "25"] > 2 * hours["1000", "200"]  # chunks smaller than the run-up before them
+    assert hours["100", "25"] > hours["100", "100"]
     assert (tmp_path / "a.png").stat().st_size > 10000
+
+
+def test_the_memory_of_a_frame_is_measured_in_a_process_of_its_own():
+    printed = run("time_model.py", "--models", "s", "--sizes", "96x64", "--budgets", "none,2G", "--what", "memory")
+    assert len(re.findall(r"s: 96x64, budget \w+: [1-9]\d+ MiB, 0 of them the planes; \d+ ms", printed)) == 2
 
 
 @pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="postfx-render[bench] is not installed")
