@@ -33,6 +33,7 @@ from postfx.interpolate.choose import (
     MARGIN,
     choose_paths,
     fill_holes,
+    measure_change,
     measure_detail,
     merge_sides,
     misfits,
@@ -321,7 +322,8 @@ class Between:
         ahead, goes = (*ways, None)[:2]
         first, last = paths.paths_of(motion, ahead, near, far, came if known_from_before else None, goes, _in_bands)
         for side, frame in ((first, self.before), (last, self.after)):
-            side.ends += np.array(frame.jitter * 2, np.float32) / np.float32(self._scale)
+            if any(frame.jitter):
+                side.ends += np.array(frame.jitter * 2, np.float32) / np.float32(self._scale)
         return first, last
 
     def _rank(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -349,7 +351,7 @@ class Between:
         _ = self._toned
         (first, last), _, _ = _at_once([lambda: self._paths, lambda: self._flows, lambda: self._known], waiting=True)
         (one, near), (other, far) = _at_once([lambda: paths.splat_paths(first, t), lambda: paths.splat_paths(last, t)])
-        own = np.empty((*self._grid, 6), np.float32)
+        own = np.empty((*self._grid, 8), np.float32)
         _in_bands(len(own), merge_sides, one, near, other, far, np.float32(self._scale), own)
         if any((*self.before.jitter, *self.after.jitter)):
             shift = np.array((*self.before.jitter, *self.after.jitter), np.float32)
@@ -357,6 +359,7 @@ class Between:
             for side in (one, other):
                 side[..., :4] -= shift / np.float32(self._scale)
         fill_holes(own, np.minimum(near, far))
+        _in_bands(len(own), measure_change, one, other, np.float32(self._scale), own)
         cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
         _in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows,
                   self._mirrored, near, far, first.depth, last.depth, t, self._scale, self._noise, cells)

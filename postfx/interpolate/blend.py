@@ -17,7 +17,7 @@ import numpy as np
 
 from postfx.interpolate.choose import OTHER as OTHER
 from postfx.interpolate.choose import differ, is_within
-from postfx.kernels.numeric import Real, compiled, inline, summed
+from postfx.kernels.numeric import Real, compiled, inline, summed, uncounted
 from postfx.kernels.vectors import in_lanes
 
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -148,7 +148,7 @@ def is_line(cells: np.ndarray, y: int, x: int, j: int, i: int, c: int) -> bool:
     return bool(min(abs(last), abs(coming)) <= SMOOTH)
 
 
-@compiled
+@uncounted
 def join_cells(y0: int, y1: int, cells: np.ndarray) -> None:
     """Mark cells that follow one path with those to the right and below by 1, and by 2 where it changes evenly, as on
     what turns."""
@@ -181,7 +181,7 @@ def between_cells(position: int, size: Real, count: int) -> tuple[int, int, Real
     return first, min(first + 1, count - 1), np.float32(at - first)
 
 
-@compiled
+@uncounted
 def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, paths: np.ndarray) -> None:
     """Paths (w, 8) of a row of pixels: between four cells that are joined, or that of the nearest one. The last number
     is 1 for joined ones, else 0. cells: flat. size: cells of a pixel."""
@@ -202,7 +202,7 @@ def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, pat
         paths[x, 7] = joined
 
 
-@compiled
+@uncounted
 def weigh_row(paths: np.ndarray, h: int, y: int, t: Real, shares: np.ndarray) -> None:
     """Weights (w, 2) of both frames for a row of pixels, where everything is known."""
     half, end, bottom = np.float32(0.5), np.float32(paths.shape[0] - 0.5), np.float32(h - 0.5)
@@ -213,7 +213,7 @@ def weigh_row(paths: np.ndarray, h: int, y: int, t: Real, shares: np.ndarray) ->
         shares[x, 0], shares[x, 1] = shares_of(first, last, t)
 
 
-@compiled
+@uncounted
 def weigh_known_row(paths: np.ndarray, known_before: np.ndarray, known_after: np.ndarray, y: int, t: Real,
                     shares: np.ndarray) -> None:
     """Likewise, where something is not known."""
@@ -222,7 +222,7 @@ def weigh_known_row(paths: np.ndarray, known_before: np.ndarray, known_after: np
         shares[x, 0], shares[x, 1] = weights_of(path, known_before, known_after, y, x, t)
 
 
-@compiled
+@uncounted
 def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.ndarray, shares: np.ndarray,
                dim: Real, row: np.ndarray) -> None:
     """Colours (w, 3) of a row of pixels where cells are joined and no edge is near; NaN elsewhere. before, after: flat.
@@ -242,7 +242,7 @@ def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.
         row[x, 0], row[x, 1], row[x, 2] = one * a + other * p, one * b + other * q, one * c + other * r
 
 
-@compiled
+@uncounted
 def colour_beside(picture: np.ndarray, j: int, i: int, v: Real, u: Real, sharp: Real) -> Three:
     """Three channels at a place after a pixel, near the edge of the picture."""
     down, across = taps_at(v, sharp), taps_at(u, sharp)
@@ -268,7 +268,7 @@ def cell_of(flat: np.ndarray, at: int) -> Cell:
     return flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4], flat[at + 5], flat[at + 6]
 
 
-@compiled
+@uncounted
 def share_cells(flat: np.ndarray, p: int, q: int, r: int, s: int, across: Real, down: Real, mixture: np.ndarray
                 ) -> None:
     """Shares (4,) of four cells in a pixel, by its place between them. Of cells that follow one path one has it all."""
@@ -298,7 +298,7 @@ def depth_along(near: np.ndarray, far: np.ndarray, path: Cell, y: int, x: int) -
     return half * (one + other) * is_one, is_one
 
 
-@compiled
+@uncounted
 def hide_cells(flat: np.ndarray, near: np.ndarray, far: np.ndarray, p: int, q: int, r: int, s: int, y: int, x: int,
                mixture: np.ndarray) -> None:
     """Take its share (4,) of a pixel from a path whose surface lies behind one that both frames show there, by another
@@ -317,7 +317,7 @@ def hide_cells(flat: np.ndarray, near: np.ndarray, far: np.ndarray, p: int, q: i
             mixture[k] *= HIDDEN
 
 
-@compiled
+@uncounted
 def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
             known_after: np.ndarray, near: np.ndarray, far: np.ndarray, y: int, t: Real, paths: np.ndarray,
             shares: np.ndarray, dim: Real, row: np.ndarray, mixture: np.ndarray) -> None:
@@ -372,7 +372,7 @@ def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray
                 mixture[x, k] /= whole
 
 
-@compiled
+@uncounted
 def add_path(before: np.ndarray, after: np.ndarray, path: Cell, y: int, x: int, one: Real, other: Real,
              row: np.ndarray) -> None:
     """Add what a path shows at a pixel, by weights of the two frames, to its channels."""
@@ -388,7 +388,7 @@ def add_path(before: np.ndarray, after: np.ndarray, path: Cell, y: int, x: int, 
             row[x, c] += other * cubic_one(after, m, n, third, fourth, c)
 
 
-@compiled
+@uncounted
 def light_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
               known_after: np.ndarray, y: int, t: Real, paths: np.ndarray, shares: np.ndarray, mixture: np.ndarray,
               row: np.ndarray) -> None:
@@ -408,7 +408,7 @@ def light_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarr
             add_path(before, after, path, y, x, mixture[x, k] * first, mixture[x, k] * last, row)
 
 
-@compiled
+@uncounted
 def take_row(before: np.ndarray, after: np.ndarray, y: int, paths: np.ndarray, shares: np.ndarray, row: np.ndarray
              ) -> None:
     """Data (w, m) of a row of pixels: that of the nearest pixel in the frame that counts more."""

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from postfx.interpolate.paths import ALIKE, FAR
-from postfx.kernels.numeric import Real, compiled, inline, vectorised
+from postfx.kernels.numeric import Real, compiled, inline, uncounted, vectorised
 from postfx.kernels.vectors import in_lanes
 
 Path: TypeAlias = tuple[Real, Real, Real, Real, Real, Real]
@@ -101,7 +101,7 @@ def side_path(side: np.ndarray, is_last: int, scale: Real, y: int, x: int) -> Pa
             seen if is_last else ONE, ONE if is_last else seen)
 
 
-@compiled
+@uncounted
 def merge_sides(y0: int, y1: int, first: np.ndarray, first_depth: np.ndarray, last: np.ndarray, last_depth: np.ndarray,
                 scale: Real, own: np.ndarray) -> None:
     """The nearer path of both sides at each cell, or their mean where they are alike; NaN without.
@@ -295,6 +295,42 @@ def most_apart(v: Any, side: Any, at: Any, own: Any, place: Any, scale: Any) -> 
     return pair.part(0, 1).largest(pair.part(1, 1)).number(0)
 
 
+@in_lanes(4)
+def most_changed(v: Any, field: Any, at: Any, beside: Any, below: Any) -> Any:
+    """The largest difference of a path of a field to those of the next cells."""
+    here = v.load(field, at)
+    apart = (here - v.load(field, beside)).magnitude().largest((here - v.load(field, below)).magnitude())
+    pair = apart.part(0, 2).largest(apart.part(2, 2))
+    return pair.part(0, 1).largest(pair.part(1, 1)).number(0)
+
+
+@uncounted
+def measure_change(y0: int, y1: int, first: np.ndarray, last: np.ndarray, scale: Real, own: np.ndarray) -> None:
+    """How much both sides' paths differ from a cell's own one, and that from those to the right and below, in pixels:
+    its last two numbers."""
+    h, w = own.shape[:2]
+    flat, flat_first, flat_last = own.reshape(-1), first.reshape(-1), last.reshape(-1)
+    for y in range(y0, y1):
+        low = 0 if y == h - 1 else 8 * w
+        for x in range(w):
+            at = 8 * (y * w + x)
+            apart, other = most_apart(flat_first, at, flat, at, scale), most_apart(flat_last, at, flat, at, scale)
+            apart = apart if flat_first[at] == flat_first[at] else ZERO  # where there is no path
+            own[y, x, 6] = max(apart, other) if flat_last[at] == flat_last[at] else apart
+            own[y, x, 7] = most_changed(flat, at, at if x == w - 1 else at + 8, at + low)
+
+
+@inline
+def is_alone(own: np.ndarray, y: int, x: int) -> bool:
+    """Whether no path of both sides at a cell and at the four beside it differs from its own: known by their changes
+    from cell to cell."""
+    most, left, up = np.float32(0.99) * OTHER, max(x - 1, 0), max(y - 1, 0)
+    right, low = min(x + 1, own.shape[1] - 1), min(y + 1, own.shape[0] - 1)
+    beside = max(own[y, right, 6], own[low, x, 6]) + own[y, x, 7]
+    return bool(max(own[y, x, 6], beside) <= most and own[y, left, 6] + own[y, left, 7] <= most
+                and own[up, x, 6] + own[up, x, 7] <= most)
+
+
 @inline
 def differ(one: Path, other: Path) -> bool:
     """Whether two paths lead to other places."""
@@ -342,6 +378,8 @@ def is_turning(own: np.ndarray, y: int, x: int, size: Real) -> bool:
     """Whether around a cell one frame is turned or stretched evenly against the other one, by much."""
     if not (1 <= y < own.shape[0] - 1 and 1 <= x < own.shape[1] - 1):
         return False
+    if max(own[y - 1, x, 7], own[y, x - 1, 7]) + own[y, x, 7] < np.float32(0.99) * TWIST * size:
+        return False
     most, uneven = ZERO, ZERO
     for c in range(2):
         for j, i in ((0, 1), (1, 0)):
@@ -353,7 +391,7 @@ def is_turning(own: np.ndarray, y: int, x: int, size: Real) -> bool:
     return bool(2 * TWIST * size < most and uneven < EVEN)
 
 
-@compiled
+@uncounted
 def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
                  known_after: np.ndarray, own: np.ndarray, first: np.ndarray, last: np.ndarray, ahead: np.ndarray,
                  back: np.ndarray, mirrored: np.ndarray, first_depth: np.ndarray, last_depth: np.ndarray,
@@ -362,7 +400,8 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
     """The path of each cell (rows, columns, 8): its own, or another one around it or of the flow that fits much better;
     the last two numbers are left.
 
-    before, after: toned, flat, with margins. known: (h, w), False under overlays. own: (rows, columns, 6).
+    before, after: toned, flat, with margins. known: (h, w), False under overlays. own: (rows, columns, 8), as
+    `measure_change` leaves it.
     first, last: both sides, whose paths around a cell are tried. ahead, back: (rows, columns, 2) flow of both frames to
     the other one, in pixels, or empty. mirrored: likewise of what the frame after reflects, to the one before.
     first_depth, last_depth: (rows, columns) of what arrived of each side. near, far: (rows, columns, 1) depth of both
@@ -386,14 +425,14 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
             depth = min(first_depth[y, x], last_depth[y, x])
             better = BETTER_STILL if is_still(mine) else BETTER
             best = np.float32(-2)  # not looked at yet: many cells have no other path around them
-            for k in range(count):
+            for k in range(around if is_alone(own, y, x) else 0, count):
                 if k < around:
                     step = k if k < steps else k - steps
                     j, i = y + STEPS[step, 0], x + STEPS[step, 1]
                     if not (0 <= j < h and 0 <= i < w):
                         continue
                     side = flat_first if k < steps else flat_last
-                    if not most_apart(side, 8 * (j * w + i), flat_own, 6 * (y * w + x), size) > OTHER:
+                    if not most_apart(side, 8 * (j * w + i), flat_own, 8 * (y * w + x), size) > OTHER:
                         continue
                     path = side_path(first if k < steps else last, int(k >= steps), size, j, i)
                 elif k == flowing:
@@ -467,7 +506,7 @@ def measure_detail(y0: int, y1: int, before: np.ndarray, after: np.ndarray, know
             cells[y, x, 6] = sharpness(before, after, known, scale * y + at, scale * x + at, path, noise)
 
 
-@compiled
+@uncounted
 def misfits(before: np.ndarray, after: np.ndarray, known_before: np.ndarray, known_after: np.ndarray, ends: np.ndarray,
             seen: np.ndarray, scale: int, found: np.ndarray) -> None:
     """Misfit of one of 4x4 cells of the frame after that the frame before shows too; -1 elsewhere."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from postfx.frame import DEPTH_MISS
 from postfx.io.convert import centre_positions, fit_camera
-from postfx.kernels.numeric import Real, add_eight, compiled, inline, load_eight, store_eight
+from postfx.kernels.numeric import Real, add_eight, inline, load_eight, store_eight, uncounted
 from postfx.temporal import reverse_motion
 from postfx.temporal.reverse_motion import LOST
 
@@ -101,7 +101,7 @@ def splat_paths(paths: Paths, t: float) -> tuple[np.ndarray, np.ndarray]:
     return found, depth
 
 
-@compiled
+@uncounted
 def gather_cells(motion: np.ndarray, depth: np.ndarray, scale: int, most: Real, cell_motion: np.ndarray,
                  cell_depth: np.ndarray) -> None:
     """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of cells of one pixel or 2x2: means of those of
@@ -132,7 +132,7 @@ def gather_cells(motion: np.ndarray, depth: np.ndarray, scale: int, most: Real, 
                 cell_motion[row, column, 0], cell_motion[row, column, 1] = u * size, v * size
 
 
-@compiled
+@uncounted
 def rank_paths(one: np.ndarray, other: np.ndarray, motion: np.ndarray, rank: np.ndarray) -> None:
     """What stands for depth where there is none (rows, columns, 1): 1 plus the difference of a grey picture to another
     one where its motion leads, or 2. A path that fits both pictures is in front of one that does not."""
@@ -226,7 +226,7 @@ def sample_two(motion: np.ndarray, v: Real, u: Real) -> tuple[bool, Real, Real, 
     return most <= one, p + x * (q - p) + y * down, a + x * (b - a) + y * under, right, across, down, under
 
 
-@compiled
+@uncounted
 def refine(y0: int, y1: int, motion: np.ndarray, inverse: np.ndarray) -> None:
     """Lead motion that was inverted for whole pixels to the places between them whose motion leads back: one step of
     Newton's method, where motion goes on evenly."""
@@ -273,7 +273,7 @@ def go_round(motion: np.ndarray, y: int, x: int, cx: Real, cy: Real, gx: Real, g
     return 1, cx, cy, gx, gy
 
 
-@compiled
+@uncounted
 def lead_back(y0: int, y1: int, motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray,
               depth_after: np.ndarray, came: np.ndarray, goes: np.ndarray, ends: np.ndarray, bend: np.ndarray,
               seen: np.ndarray) -> None:
@@ -317,7 +317,7 @@ def lead_back(y0: int, y1: int, motion: np.ndarray, ahead: np.ndarray, depth_bef
                 bend[y, x, 0], bend[y, x, 1] = share * bx, share * by
 
 
-@compiled
+@uncounted
 def lead_ahead(y0: int, y1: int, ahead: np.ndarray, motion: np.ndarray, depth_before: np.ndarray,
                depth_after: np.ndarray, came: np.ndarray, bend_after: np.ndarray, ends: np.ndarray, bend: np.ndarray,
                seen: np.ndarray) -> None:
@@ -343,7 +343,7 @@ def lead_ahead(y0: int, y1: int, ahead: np.ndarray, motion: np.ndarray, depth_be
             ends[y, x, 0], ends[y, x, 1], ends[y, x, 2], ends[y, x, 3] = 0, 0, fx, fy
 
 
-@compiled
+@uncounted
 def splat_nearest(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, t: float, nearest: np.ndarray) -> None:
     """Least depth of the paths that are nearest to each pixel at time t; FAR where there is none."""
     h, w = nearest.shape
@@ -356,7 +356,7 @@ def splat_nearest(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, t: floa
                 nearest[int(v), int(u)] = min(nearest[int(v), int(u)], depth[y, x, 0])
 
 
-@compiled
+@uncounted
 def splat_means(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, seen: np.ndarray, t: float,
                 nearest: np.ndarray, found: np.ndarray) -> None:
     """Sums of the nearest surface's paths around each pixel: to both frames, seen, weight, and twice nothing. found:
@@ -382,7 +382,7 @@ def splat_means(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, seen: np.
                         store_eight(found, place, add_eight(load_eight(found, place), path, weight))
 
 
-@compiled
+@uncounted
 def close_cracks(nearest: np.ndarray, found: np.ndarray, depth: np.ndarray) -> None:
     """Means of the sums; pixels where nothing arrived get those of two neighbours on opposite sides."""
     h, w = nearest.shape

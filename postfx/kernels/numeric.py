@@ -34,6 +34,8 @@ def kernel_jit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 inline = kernel_jit(inline="always")
 fast_inline = kernel_jit(inline="always", fastmath=True)
 compiled = kernel_jit()
+# Without counts of who uses an array: threads that change the same counts wait for each other. Makes no arrays.
+uncounted = kernel_jit(_nrt=False)
 # a * b + c in one instruction; NaN and infinity keep their meaning.
 fused, fused_inline = kernel_jit(fastmath={"contract"}), kernel_jit(fastmath={"contract"}, inline="always")
 # Sums in any order, which may be in vector instructions; NaN and infinity keep their meaning.
