@@ -254,7 +254,8 @@ class Interpolation:
             assert before is not None and after is not None, "the caller has read both"
             later = None if index + 2 in self._cuts else later
             made = Between(before, after, later, flow=not self._arguments.no_flow, overlay=self._arguments.overlay,
-                           composited=self._arguments.composited, is_cut=index + 1 in self._cuts)
+                           composited=self._arguments.composited, is_cut=index + 1 in self._cuts,
+                           last=self._between.get(index - 1))
             self._between = {other: one for other, one in self._between.items() if other == index - 1} | {index: made}
         return self._between[index]
 

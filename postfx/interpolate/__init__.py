@@ -15,10 +15,8 @@ gets. docs/interpolation.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -49,8 +47,8 @@ from postfx.interpolate.flow import (
     measure_clearness,
     remove_overlay,
 )
+from postfx.interpolate.paths import at_once, in_bands
 from postfx.interpolate.timing import camera_between
-from postfx.system import usable_cores
 from postfx.temporal.reverse_motion import invert_motion
 
 LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
@@ -65,6 +63,7 @@ LONGEST = 64
 """Pixels by which an overlay that was found in the picture is grown, at most."""
 Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
 """A plane of both frames."""
+Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 OVERLAYS = ("mix", "hold")
 CAMERA = ("worldToCamera", "worldToNDC")
 """Attributes of a camera, of which the first one is made for the time."""
@@ -83,6 +82,7 @@ class Between:
         overlay: 'mix' or 'hold' (keep the earlier one's) the plane overlay.
         composited: whether the overlay is in the colour, too. It is taken out, and put over the result.
         is_cut: whether another shot begins between the two; a frame after that is marked by `reset` says so itself.
+        last: the time before this one, whose findings about frames of both are taken over.
 
     Attributes:
         reason: why there is nothing to interpolate, or None: `frame` then gives the nearer one of the two.
@@ -91,7 +91,8 @@ class Between:
     """
 
     def __init__(self, before: Frame, after: Frame, later: Frame | None = None, *, flow: bool = True,
-                 overlay: str = "mix", composited: bool = False, is_cut: bool = False) -> None:
+                 overlay: str = "mix", composited: bool = False, is_cut: bool = False, last: Between | None = None
+                 ) -> None:
         if overlay not in OVERLAYS:
             raise FrameError(f"overlay '{overlay}' between frames: use {' or '.join(OVERLAYS)}")
         for frame in (before, after):
@@ -99,6 +100,10 @@ class Between:
                 raise FrameError(f"frame {frame.number} ({frame.source or 'of no file'}) has no scene-linear colour: "
                                  "interpolate before the display transform")
         self.before, self.after, self._later = before, after, later
+        self._gathered: list[tuple[Frame, Pair]] = [] if last is None else [
+            one for one in last._gathered if one[0] is before or one[0] is after]
+        self._inverted: list[tuple[Frame, Frame, np.ndarray]] = [] if last is None else [
+            one for one in last._inverted if one[0] is before]
         self._options: dict[str, Any] = {"flow": flow, "overlay": overlay, "composited": composited}
         self._flow, self._overlay = flow, overlay
         self._composited = composited and self._both_have(Role.OVERLAY)
@@ -182,7 +187,7 @@ class Between:
     @cached_property
     def _colours(self) -> tuple[np.ndarray, np.ndarray]:
         """Colours as they are in the frames."""
-        first, last = _at_once([lambda: _finite(self.before[Role.COLOUR]), lambda: _finite(self.after[Role.COLOUR])])
+        first, last = at_once([lambda: _finite(self.before[Role.COLOUR]), lambda: _finite(self.after[Role.COLOUR])])
         return first, last
 
     @cached_property
@@ -202,7 +207,7 @@ class Between:
         found = []
         for picture in self._pictures:
             toned = np.empty((h + 2 * MARGIN, w + 2 * MARGIN), np.float32)
-            _in_bands(h, tone_rows, picture, self._level, toned)
+            in_bands(h, tone_rows, picture, self._level, toned)
             toned[:MARGIN], toned[h + MARGIN:] = toned[MARGIN], toned[h + MARGIN - 1]
             found.append(toned)
         return found[0], found[1]
@@ -263,7 +268,7 @@ class Between:
         pictures = self._small
         while min(pictures[0].shape) >= 2 * LEAST_SEARCHED:
             pictures = halve(pictures[0]), halve(pictures[1])
-        ahead, back = _at_once([lambda: estimate_motion(*pictures, 2 - self._scale),
+        ahead, back = at_once([lambda: estimate_motion(*pictures, 2 - self._scale),
                                 lambda: estimate_motion(*pictures[::-1], 2 - self._scale)])
         return ahead, back
 
@@ -274,7 +279,7 @@ class Between:
         if not self._flow or Role.MOTION not in self.after:
             return np.empty((0, 0, 2), np.float32), np.empty((0, 0, 2), np.float32)
         found = consistent_motion(*self._estimated, self._scale)
-        ahead, back = _at_once([lambda: self._enlarge(found[0]), lambda: self._enlarge(found[1])])
+        ahead, back = at_once([lambda: self._enlarge(found[0]), lambda: self._enlarge(found[1])])
         return ahead, back
 
     @cached_property
@@ -294,33 +299,45 @@ class Between:
 
     def _cells_of(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
         """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of a frame that has either."""
+        for known, cells in self._gathered:
+            if known is frame:
+                return cells
         motion, depth = (frame[role] if role in frame else np.empty((0, 0, count), np.float32)
                          for role, count in ((Role.MOTION, 2), (Role.DEPTH, 1)))
         found = np.empty((*self._grid, 2), np.float32), np.empty((*self._grid, 1), np.float32)
         paths.gather_cells(motion, depth, self._scale, np.float32(4 * max(self._size)), *found)
+        self._gathered.append((frame, found))
         return found
+
+    def _invert(self, motions: list[tuple[Frame, Frame, Three]]) -> list[np.ndarray]:
+        """Motion of frames to the ones after them, by those, their motion and depth of both."""
+        def find(before: Frame, after: Frame) -> np.ndarray | None:
+            return next((way for one, other, way in self._inverted if one is before and other is after), None)
+
+        new = [motion for motion in motions if find(*motion[:2]) is None]
+        found = at_once([partial(invert_motion, *planes) for _, _, planes in new])
+        for (before, after, (motion, *_)), way in zip(new, found, strict=True):
+            in_bands(len(way), paths.refine, motion, way)
+            self._inverted.append((before, after, way))
+        return [way for motion in motions if (way := find(*motion[:2])) is not None]
 
     @cached_property
     def _paths(self) -> tuple[paths.Paths, paths.Paths]:
-        has_depth = self._both_have(Role.DEPTH)
-        (came, near), (motion, far) = _at_once([lambda: self._cells_of(self.before),
-                                                lambda: self._cells_of(self.after)])
+        has_depth, later = self._both_have(Role.DEPTH), self._later
+        if later is not None and (not has_depth or later.reset or any(
+                role not in later or later[role].shape[:2] != self._size for role in (Role.MOTION, Role.DEPTH))):
+            later = None
+        frames = [self.before, self.after, *([] if later is None else [later])]
+        (came, near), (motion, far), *beyond = at_once([partial(self._cells_of, frame) for frame in frames])
         if Role.MOTION not in self.after:
             motion = self._enlarge(self._estimated[1])
         if not has_depth:
             near, far = self._rank(motion)
         known_from_before = Role.MOTION in self.after and Role.MOTION in self.before and not self.before.reset
-        inverted, fields, later = [lambda: invert_motion(motion, far, near)], [motion], self._later
-        if has_depth and later is not None and not later.reset and Role.MOTION in later and Role.DEPTH in later:
-            if later[Role.MOTION].shape[:2] == self._size:
-                onward, beyond = self._cells_of(later)
-                fields.append(onward)
-                inverted.append(lambda: invert_motion(onward, beyond, far))
-        ways = _at_once(inverted)
-        for field, way in zip(fields, ways, strict=True):
-            _in_bands(len(way), paths.refine, field, way)
-        ahead, goes = (*ways, None)[:2]
-        first, last = paths.paths_of(motion, ahead, near, far, came if known_from_before else None, goes, _in_bands)
+        motions: list[tuple[Frame, Frame, Three]] = [(self.before, self.after, (motion, far, near))]
+        motions += [(self.after, frames[2], (onward, farther, far)) for onward, farther in beyond]
+        ahead, *goes = self._invert(motions)
+        first, last = paths.paths_of(motion, ahead, near, far, came if known_from_before else None, *goes)
         for side, frame in ((first, self.before), (last, self.after)):
             if any(frame.jitter):
                 side.ends += np.array(frame.jitter * 2, np.float32) / np.float32(self._scale)
@@ -349,22 +366,22 @@ class Between:
     def _choose(self, t: float) -> np.ndarray:
         """What `compose` takes of the cells at a time."""
         _ = self._toned
-        (first, last), _, _ = _at_once([lambda: self._paths, lambda: self._flows, lambda: self._known], waiting=True)
-        (one, near), (other, far) = _at_once([lambda: paths.splat_paths(first, t), lambda: paths.splat_paths(last, t)])
+        (first, last), _, _ = at_once([lambda: self._paths, lambda: self._flows, lambda: self._known], waiting=True)
+        (one, near), (other, far) = at_once([lambda: paths.splat_paths(first, t), lambda: paths.splat_paths(last, t)])
         own = np.empty((*self._grid, 8), np.float32)
-        _in_bands(len(own), merge_sides, one, near, other, far, np.float32(self._scale), own)
+        in_bands(len(own), merge_sides, one, near, other, far, np.float32(self._scale), own)
         if any((*self.before.jitter, *self.after.jitter)):
             shift = np.array((*self.before.jitter, *self.after.jitter), np.float32)
             own[..., :4] -= shift
             for side in (one, other):
                 side[..., :4] -= shift / np.float32(self._scale)
         fill_holes(own, np.minimum(near, far))
-        _in_bands(len(own), measure_change, one, other, np.float32(self._scale), own)
+        in_bands(len(own), measure_change, one, other, np.float32(self._scale), own)
         cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
-        _in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows,
+        in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows,
                   self._mirrored, near, far, first.depth, last.depth, t, self._scale, self._noise, cells)
-        _in_bands(self._grid[0], join_cells, cells)
-        _in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, self._noise, cells)
+        in_bands(self._grid[0], join_cells, cells)
+        in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, self._noise, cells)
         return cells
 
     def _make_planes(self, t: float, previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
@@ -386,7 +403,7 @@ class Between:
         motion = np.empty((*self._size, 2) if Role.MOTION in after else (0, 0, 2), np.float32)
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and 1
         back = [np.float32((previous - t) * (previous - 1) / t), np.float32(previous * (previous - t) / (1 - t))]
-        _in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, *self._depths, self._masked,
+        in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, *self._depths, self._masked,
                   t, self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
         made = _split(mixed, light) | _split(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
@@ -451,7 +468,7 @@ class Interpolator:
             raise FrameError(f"frame {frame.number} comes {delta} after the one before: give a time above 0")
         is_cut = self._detector(frame)
         if self._last is not None:
-            self.between = Between(self._last, frame, is_cut=is_cut, **self._options)
+            self.between = Between(self._last, frame, is_cut=is_cut, last=self.between, **self._options)
         self._last, self._times = frame, [self._times[1], self._times[1] + delta]
 
     def frame(self, t: float, number: int | None = None) -> Frame:
@@ -483,21 +500,3 @@ def _split(stack: np.ndarray, group: dict[Role | str, Pair]) -> dict[Role | str,
     """The planes in a stack of them."""
     ends = np.cumsum([pair[0].shape[2] for pair in group.values()])
     return {key: stack[..., end - pair[0].shape[2]:end] for (key, pair), end in zip(group.items(), ends, strict=True)}
-
-
-@cache
-def _threads(waiting: bool) -> ThreadPoolExecutor:
-    """Threads that work, or those that mostly wait for them."""
-    return ThreadPoolExecutor(4 if waiting else usable_cores(), "postfx interpolate")
-
-
-def _at_once(tasks: Iterable[Callable[[], Any]], waiting: bool = False) -> list[Any]:
-    """Results of functions that run side by side. waiting: they do so themselves with others."""
-    return [task.result() for task in [_threads(waiting).submit(task) for task in tasks]]
-
-
-def _in_bands(height: int, kernel: Callable[..., None], *arguments: Any) -> None:
-    """Run a kernel on all rows, in bands side by side: small ones, as some rows take longer than others."""
-    band = max(4, -(-height // (16 * usable_cores()))) * 2
-    _at_once([lambda first=first: kernel(first, min(height, first + band), *arguments)  # type: ignore[misc]
-              for first in range(0, height, band)])

@@ -12,14 +12,18 @@ Lagrange's polynomial through three or four places.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 
 from postfx.frame import DEPTH_MISS
 from postfx.io.convert import centre_positions, fit_camera
 from postfx.kernels.numeric import Real, add_eight, inline, load_eight, store_eight, uncounted
+from postfx.system import usable_cores
 from postfx.temporal import reverse_motion
 from postfx.temporal.reverse_motion import LOST
 
@@ -49,6 +53,24 @@ LEAST_COSINE = np.float32(0.2)
 """Cosine of the angle by which a thing turns from frame to frame, at least."""
 
 
+@cache
+def _threads(waiting: bool) -> ThreadPoolExecutor:
+    """Threads that work, or those that mostly wait for them."""
+    return ThreadPoolExecutor(4 if waiting else usable_cores(), "postfx interpolate")
+
+
+def at_once(tasks: Iterable[Callable[[], Any]], waiting: bool = False) -> list[Any]:
+    """Results of functions that run side by side. waiting: they do so themselves with others."""
+    return [task.result() for task in [_threads(waiting).submit(task) for task in tasks]]
+
+
+def in_bands(height: int, kernel: Callable[..., None], *arguments: Any) -> None:
+    """Run a kernel on all rows, in bands side by side: small ones, as some rows take longer than others."""
+    band = max(4, -(-height // (16 * usable_cores()))) * 2
+    at_once([lambda first=first: kernel(first, min(height, first + band), *arguments)  # type: ignore[misc]
+              for first in range(0, height, band)])
+
+
 @dataclass
 class Paths:
     """Paths of one frame's pixels.
@@ -67,7 +89,7 @@ class Paths:
 
 
 def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, depth_after: np.ndarray,
-             came: np.ndarray | None, goes: np.ndarray | None, in_bands: Callable[..., None]) -> tuple[Paths, Paths]:
+             came: np.ndarray | None, goes: np.ndarray | None = None) -> tuple[Paths, Paths]:
     """Paths of the pixels of the frame before, and of those of the frame after.
 
     Args:
@@ -76,7 +98,6 @@ def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, de
         depth_before, depth_after: (h, w, 1), without NaN.
         came: motion of the frame before, from a frame further back; None without.
         goes: motion from the frame after to one further ahead, LOST where that hides a point; None without.
-        in_bands: runs a kernel on all rows of a height.
     """
     h, w = motion.shape[:2]
     first, last = (Paths(np.empty((h, w, 4), np.float32), np.zeros((h, w, 2), np.float32), depth,
