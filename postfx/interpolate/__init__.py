@@ -35,7 +35,6 @@ from postfx.interpolate.choose import (
     measure_detail,
     merge_sides,
     misfits,
-    tone_rows,
 )
 from postfx.interpolate.flow import (
     COVERED,
@@ -46,6 +45,7 @@ from postfx.interpolate.flow import (
     halve,
     measure_clearness,
     remove_overlay,
+    tone_rows,
 )
 from postfx.interpolate.paths import at_once, in_bands
 from postfx.interpolate.timing import camera_between
@@ -207,7 +207,7 @@ class Between:
         found = []
         for picture in self._pictures:
             toned = np.empty((h + 2 * MARGIN, w + 2 * MARGIN), np.float32)
-            in_bands(h, tone_rows, picture, self._level, toned)
+            in_bands(h, tone_rows, picture, self._level, MARGIN, toned)
             toned[:MARGIN], toned[h + MARGIN:] = toned[MARGIN], toned[h + MARGIN - 1]
             found.append(toned)
         return found[0], found[1]
@@ -375,7 +375,7 @@ class Between:
             own[..., :4] -= shift
             for side in (one, other):
                 side[..., :4] -= shift / np.float32(self._scale)
-        fill_holes(own, np.minimum(near, far))
+        at_once([lambda: fill_holes(own, np.minimum(near, far)), lambda: self._noise])
         in_bands(len(own), measure_change, one, other, np.float32(self._scale), own)
         cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
         in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows,

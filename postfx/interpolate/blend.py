@@ -206,11 +206,15 @@ def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, pat
 def weigh_row(paths: np.ndarray, h: int, y: int, t: Real, shares: np.ndarray) -> None:
     """Weights (w, 2) of both frames for a row of pixels, where everything is known."""
     half, end, bottom = np.float32(0.5), np.float32(paths.shape[0] - 0.5), np.float32(h - 0.5)
+    both, rest = shares_of(ONE, ONE, t)
     for x in range(paths.shape[0]):
         u, v, p, q = x + paths[x, 0], y + paths[x, 1], x + paths[x, 2], y + paths[x, 3]
         first = paths[x, 4] if (u > -half) & (v > -half) & (u < end) & (v < bottom) else ZERO
         last = paths[x, 5] if (p > -half) & (q > -half) & (p < end) & (q < bottom) else ZERO
-        shares[x, 0], shares[x, 1] = shares_of(first, last, t)
+        if min(first, last) == 1:
+            shares[x, 0], shares[x, 1] = both, rest
+        else:
+            shares[x, 0], shares[x, 1] = shares_of(first, last, t)
 
 
 @uncounted

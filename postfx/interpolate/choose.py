@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from postfx.interpolate.paths import ALIKE, FAR
-from postfx.kernels.numeric import Real, compiled, inline, uncounted, vectorised
+from postfx.kernels.numeric import Real, compiled, inline, uncounted
 from postfx.kernels.vectors import in_lanes
 
 Path: TypeAlias = tuple[Real, Real, Real, Real, Real, Real]
@@ -64,33 +64,6 @@ SLOPES, MOST_NOISE = np.float32((2 * ROWS - 1) * sum(TAPER)), np.float32(4)
 """Slopes that are summed up in a window, and the square of a slope that noise makes at most, in squares of the noise:
 even noise of Gauss makes pi between pixels. What differs by more is no noise."""
 COUNT = np.float32(ROWS * sum(TAPER))
-
-
-@vectorised
-def tone_numbers(numbers: np.ndarray, level: Real, toned: np.ndarray) -> None:
-    for i in range(numbers.size):
-        bright = max(numbers[i], ZERO)
-        toned[i] = np.sqrt(bright / (bright + level))
-
-
-@vectorised
-def mean_of_threes(numbers: np.ndarray, means: np.ndarray) -> None:
-    for x in range(means.size):
-        means[x] = (numbers[3 * x] + numbers[3 * x + 1] + numbers[3 * x + 2]) * np.float32(1 / 3)
-
-
-@compiled
-def tone_rows(y0: int, y1: int, picture: np.ndarray, level: Real, toned: np.ndarray) -> None:
-    """Grey (h + 2 MARGIN, w + 2 MARGIN) of the range 0 to 1, in which differences are about as visible in the dark as
-    in the light. Rows above and below the picture are left as they are."""
-    h, w = picture.shape[:2]
-    numbers, flat = np.empty(3 * w, np.float32), picture.reshape(h, 3 * w)
-    for y in range(y0, y1):
-        row = toned[y + MARGIN]
-        tone_numbers(flat[y], level, numbers)
-        mean_of_threes(numbers, row[MARGIN:MARGIN + w])
-        for beside in range(MARGIN):
-            row[beside], row[w + MARGIN + beside] = row[MARGIN], row[w + MARGIN - 1]
 
 
 @inline

@@ -56,6 +56,33 @@ def estimate_motion(after: np.ndarray, before: np.ndarray, finest: int = FINEST)
     return enlarge_motion(flow, *after.shape)
 
 
+@vectorised
+def tone_numbers(numbers: np.ndarray, level: Real, toned: np.ndarray) -> None:
+    for i in range(numbers.size):
+        bright = max(numbers[i], np.float32(0))
+        toned[i] = np.sqrt(bright / (bright + level))
+
+
+@vectorised
+def mean_of_threes(numbers: np.ndarray, means: np.ndarray) -> None:
+    for x in range(means.size):
+        means[x] = (numbers[3 * x] + numbers[3 * x + 1] + numbers[3 * x + 2]) * np.float32(1 / 3)
+
+
+@compiled
+def tone_rows(y0: int, y1: int, picture: np.ndarray, level: Real, margin: int, toned: np.ndarray) -> None:
+    """Grey (h + 2 margin, w + 2 margin) of the range 0 to 1, in which differences are about as visible in the dark as
+    in the light. Rows above and below the picture are left as they are."""
+    h, w = picture.shape[:2]
+    numbers, flat = np.empty(3 * w, np.float32), picture.reshape(h, 3 * w)
+    for y in range(y0, y1):
+        row = toned[y + margin]
+        tone_numbers(flat[y], level, numbers)
+        mean_of_threes(numbers, row[margin:margin + w])
+        for beside in range(margin):
+            row[beside], row[w + margin + beside] = row[margin], row[w + margin - 1]
+
+
 def halve(picture: np.ndarray) -> np.ndarray:
     """Means of 2x2 pixels; an odd last row or column is left out."""
     means = np.empty([side // 2 for side in picture.shape], np.float32)

@@ -383,6 +383,7 @@ def splat_means(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, seen: np.
     """Sums of the nearest surface's paths around each pixel: to both frames, seen, weight, and twice nothing. found:
     flat."""
     h, w = nearest.shape
+    flat = nearest.reshape(-1)
     zero, one, at, s = np.float32(0), np.float32(1), np.float32(t), np.float32(t * (t - 1))
     for y in range(h):
         for x in range(w):
@@ -395,10 +396,12 @@ def splat_means(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, seen: np.
             z = depth[y, x, 0]
             path = (ends[y, x, 0] - dx, ends[y, x, 1] - dy, ends[y, x, 2] - dx, ends[y, x, 3] - dy, seen[y, x], one,
                     zero, zero)
-            for b in range(max(j, 0), min(j + 2, h)):
-                for a in range(max(i, 0), min(i + 2, w)):
-                    weight = (one - abs(u - np.float32(a))) * (one - abs(v - np.float32(b)))
-                    if (weight > 0) & (abs(z - nearest[b, a]) <= ALIKE * nearest[b, a]):
+            u, v = u - np.float32(i), v - np.float32(j)
+            for b, a, weight in ((j, i, (one - u) * (one - v)), (j, i + 1, u * (one - v)), (j + 1, i, (one - u) * v),
+                                 (j + 1, i + 1, u * v)):
+                if (np.uint64(b) < np.uint64(h)) & (np.uint64(a) < np.uint64(w)) & (weight > 0):
+                    front = flat[b * w + a]
+                    if abs(z - front) <= ALIKE * front:
                         place = 8 * (b * w + a)
                         store_eight(found, place, add_eight(load_eight(found, place), path, weight))
 
