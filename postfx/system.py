@@ -6,6 +6,7 @@ files; folders for what can be remade, such as compiled kernels; and the folder 
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import getpass
 import math
@@ -13,6 +14,7 @@ import mmap
 import os
 import re
 import stat
+import sys
 import tempfile
 import weakref
 from collections.abc import Iterator
@@ -24,6 +26,7 @@ import numpy as np
 from postfx.errors import MemoryBudgetError
 
 _PACKAGE = Path(__file__).resolve().parent
+MOST_HEAPS = -8  # M_ARENA_MAX of glibc's malloc.h
 _GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
 # Files
@@ -80,6 +83,15 @@ def usable_cores() -> int:
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     times = _limits("cpu", ("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us"))
     return max(1, min([cores, *(math.ceil(quota / period) for quota, period in times if quota > 0)]))  # -1: no limit
+
+
+def share_one_heap() -> None:
+    """Let all threads of this process take memory from one heap of the C library, where that is glibc's. Frames are
+    read, run and written by different threads: with a heap for each of them, the memory that one frees serves no other.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if mallopt:
+        mallopt(MOST_HEAPS, 1)
 
 
 def usable_memory() -> int:

@@ -81,11 +81,12 @@ class _Completion(argparse.Action):
 
 
 def read_and_write_by(threads: int | None) -> None:
-    """Set the number of threads that read and write files; None: all that this process may use."""
+    """Set the number of threads that read and write files, all with one heap; None: all that this process may use."""
     import OpenImageIO as oiio  # here, as --help does without
 
-    from postfx.system import usable_cores
+    from postfx.system import share_one_heap, usable_cores
 
+    share_one_heap()
     for name in ("threads", "exr_threads"):
         oiio.attribute(name, threads or usable_cores())
 
