@@ -4,7 +4,7 @@
     python -m training.denoise.checkpoint mix a/checkpoint.pt:0.85 denoise_upscale.m.1x.onnx:0.15 -o mixed.pt
 
 A checkpoint of a run holds everything that training needs to continue. One for export or --start holds only `config`,
-`weights` and `notes`. `mix` averages the weights of networks with the same layout: on scenes of other renderers the
+`weights` and `notes`. `mix` averages the weights of networks: on scenes of other renderers the
 mean of two trainings is often better than either.
 """
 
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 PREFIX, HALF = "trunk.", "_half"
 
@@ -84,15 +84,15 @@ def weights_of(path: Path) -> dict[str, Tensor]:
     return {PREFIX + name: values.contiguous() for name, values in stored.items()}
 
 
-def widen(weights: dict[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
-    """Weights of ``model`` that begin as the function of a network with fewer channels or levels.
+def widen(weights: dict[str, Tensor], wider: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The network of ``weights`` in the layout of ``wider``, which has more channels or levels: the same function.
 
-    New channels keep the random weights of ``model``, but nothing that existed reads them yet, as in Net2Net (Chen,
+    New channels keep their weights in ``wider``, but nothing that existed reads them yet, as in Net2Net (Chen,
     Goodfellow and Shlens, 2016). New levels begin with the filter that was the same at all pixels. Raises ValueError if
-    the network is larger than the model.
+    the network does not fit into ``wider``.
     """
-    found = {name: values.clone() for name, values in model.state_dict().items()}
-    levels = sum(name.startswith(PREFIX + "heads.") and name.endswith("bias") for name in weights)
+    found = {name: values.clone() for name, values in wider.items()}
+    levels = count_levels(weights)
     for name, values in weights.items():
         word, _, place = name.removeprefix(PREFIX).partition(".")
         if name not in found and word in ("alike", "rest"):
@@ -100,12 +100,35 @@ def widen(weights: dict[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
             found[f"{PREFIX}{target}.weight"].zero_()
             name, values = f"{PREFIX}{target}.bias", values.flatten()
         if name not in found or any(a > b for a, b in zip(values.shape, found[name].shape, strict=True)):
-            raise ValueError(f"{name}: the network to start from is larger than the one to train")
+            raise ValueError(f"{name} does not fit into the other network, which must be the wider one")
         whole = found[name]
         if values.ndim > 1:
             whole[:values.shape[0], values.shape[1]:] = 0
         whole[tuple(slice(n) for n in values.shape)] = values
     return found
+
+
+def keep_levels(weights: dict[str, Tensor], count: int) -> dict[str, Tensor]:
+    """The network without its levels coarser than the finest ``count``: their filters become the same at all pixels,
+    those of their heads' biases. The opposite of `widen` for a network whose coarse levels hardly matter."""
+    levels = count_levels(weights)
+    if not 0 < count <= levels:
+        raise ValueError(f"the network has {levels} levels: --levels takes 1 to {levels}")
+    found, heads = {}, {f"{PREFIX}heads.{i}.bias": f"{PREFIX}alike.{i - count}" for i in range(count, levels)}
+    for name, values in weights.items():
+        word, level, *_ = *name.removeprefix(PREFIX).split("."), ""
+        if name in heads:
+            found[heads[name]] = values.reshape(1, -1, 1, 1)
+        elif name == f"{PREFIX}lift.{count - 1}.bias":
+            found[PREFIX + "rest"] = values.reshape(1, -1, 1, 1)
+        elif word not in ("down", "up", "heads", "lift") or int(level) < count - (word == "lift"):
+            found[name] = values
+    return found
+
+
+def count_levels(weights: dict[str, Tensor]) -> int:
+    """Levels of the network, those not counted whose filters are the same at all pixels."""
+    return sum(name.startswith(PREFIX + "heads.") and name.endswith("bias") for name in weights)
 
 
 # State that a run continues with ------------------------------------------------------------------------------------
@@ -122,11 +145,11 @@ def git_commit() -> str:
 
 # Mixtures -----------------------------------------------------------------------------------------------------------
 
-def mix(parts: Sequence[tuple[Path, float]]) -> dict[str, Any]:
+def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None) -> dict[str, Any]:
     """A checkpoint with the weighted mean of several weights; its notes are the first one's, and name the mixture.
 
-    The first part is a checkpoint; others may be exported networks. Raises ValueError if shares do not add up to 1 or
-    networks have different layouts.
+    The first part is a checkpoint; others may be exported networks, also with fewer channels or levels. Of the mean,
+    the finest ``levels`` stay (None: all). Raises ValueError if shares do not add up to 1 or a network does not fit.
     """
     if abs(sum(share for _, share in parts) - 1) > 1e-6:
         raise ValueError(f"shares add up to {sum(share for _, share in parts):g}, not to 1")
@@ -139,21 +162,25 @@ def mix(parts: Sequence[tuple[Path, float]]) -> dict[str, Any]:
             one = first | {"weights": load_weights(path, bool(first["config"].get("trust")))}
         else:
             one = read(path)
-        shapes = [{name: values.shape for name, values in some["weights"].items()} for some in (one, first)]
-        if one["config"] != first["config"] or shapes[0] != shapes[1]:
-            raise ValueError(f"{path}: another layout than {parts[0][0]}: {one['config']}, not {first['config']}")
-        found.append((one["weights"], share))
+        try:
+            found.append((widen(one["weights"], first["weights"]), share))
+        except ValueError as fault:
+            raise ValueError(f"{path}: another layout than {parts[0][0]}: {fault}") from None
     weights = {name: sum(share * one[name].float() for one, share in found) for name in first["weights"]}
     told = " + ".join(f"{share:g} {path}" for path, share in parts)
-    return {"config": first["config"], "weights": weights, "notes": {**first["notes"], "weights": told}}
+    config = first["config"]
+    if levels is not None:
+        weights, config = keep_levels(weights, levels), {**config, "widths": config["widths"][:levels]}
+    return {"config": config, "weights": weights, "notes": {**first["notes"], "weights": told}}
 
 
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
-    mixing = commands.add_parser("mix", help="average the weights of networks of the same layout")
+    mixing = commands.add_parser("mix", help="average the weights of networks; smaller ones are widened to the first")
     mixing.add_argument("parts", nargs="+", type=part, metavar="FILE:SHARE",
                         help="checkpoints or exported networks; shares add up to 1")
+    mixing.add_argument("--levels", type=int, metavar="N", help="keep the N finest levels (default: all)")
     mixing.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
     return parser
 
@@ -162,7 +189,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = options()
     args = parser.parse_args(argv)
     try:
-        save(mix(args.parts), args.output)
+        save(mix(args.parts, args.levels), args.output)
     except (OSError, ValueError) as fault:
         parser.error(str(fault))
 

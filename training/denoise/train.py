@@ -236,7 +236,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
                                                 args.trust))
     model = model.to(device, memory_format=torch.channels_last)
     if args.start:
-        model.load_state_dict(widen(load_weights(args.start, args.trust), model))
+        model.load_state_dict(widen(load_weights(args.start, args.trust), model.state_dict()))
     average = Average(model, DECAY)
     loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance)
     flat = FlatGradient(list(model.parameters()))
