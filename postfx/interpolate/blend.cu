@@ -20,7 +20,8 @@ extern "C" __global__ void interpolate_join(View cells) {
     for (int c = 0; c < 6; c++) {
         const float apart = fmaxf(fmaxf(fabsf(right[c] - at[c]), fabsf(low[c] - at[c])), fabsf(beyond[c] - at[c]));
         is_one = is_one && apart <= (c < 4 ? JOINED : 0.0f);
-        is_even = is_even && apart <= (c < 4 ? TURNING : 0.0f) && fabsf(at[c] - right[c] - low[c] + beyond[c]) <= SMOOTH;
+        is_even = is_even && apart <= (c < 4 ? TURNING : 0.0f)
+            && fabsf(at[c] - right[c] - low[c] + beyond[c]) <= SMOOTH;
     }
     if (!is_one && is_even)
         for (int c = 0; c < 4 && is_even; c++)
@@ -74,8 +75,8 @@ __device__ inline Four taps_at(float t, float sharp) {
     float found[4];
 #pragma unroll
     for (int i = 0; i < 4; i++)
-        found[i] = (((k * cubes_soft[i] + sharp * cubes[i]) * t + k * squares_soft[i] + sharp * squares[i]) * t + first[i])
-            * t + k * ones_soft[i] + sharp * ones[i];
+        found[i] = (((k * cubes_soft[i] + sharp * cubes[i]) * t + k * squares_soft[i] + sharp * squares[i]) * t
+                    + first[i]) * t + k * ones_soft[i] + sharp * ones[i];
     return {found[0], found[1], found[2], found[3]};
 }
 
@@ -196,19 +197,21 @@ __device__ inline Colour settled(const Shown& by, float dim) {
             weights.x * by.before.b + weights.y * by.after.b};
 }
 
-// The picture (h, w, 3), and what leads to the frames there (h, w, 4): the path that counts most, and `led` (h, w, 1),
-// the weight of the frame before. near, far: depth (h, w, 1) of both frames.
-extern "C" __global__ void interpolate_compose(View cells, View before, View after, View near, View far, View time,
-                                               View level, View scale, View colour, View paths, View led) {
-    const int h = colour.size[0], w = colour.size[1], rows = cells.size[0], columns = cells.size[1];
-    PIXEL(w, h);
-    const float size = 1.0f / scale.at[0], t = time.at[0], dim = DARK * level.at[0];
+// A pixel's colour, the path that counts most, and the weight of the frame before.
+struct Made {
+    Colour colour;
+    Path path;
+    float led;
+};
+
+// near, far: depth (h, w, 1) of both frames. scale: pixels of a cell. dim: light that counts as dark.
+__device__ inline Made made_at(const View& cells, const View& before, const View& after, const View& near,
+                               const View& far, float t, float scale, float dim, int y, int x) {
+    const int rows = cells.size[0], columns = cells.size[1];
+    const float size = 1.0f / scale;
     const Between down = between_cells(y, size, rows), across = between_cells(x, size, columns);
     const int places[4] = {down.first * columns + across.first, down.first * columns + across.second,
                            down.second * columns + across.first, down.second * columns + across.second};
-    Path most;
-    Pair weights;
-    Colour sum = {0.0f, 0.0f, 0.0f};
     if (cells.at[8 * size_t(places[0]) + 7] > 0.0f) {
         const float p = (1.0f - down.share) * (1.0f - across.share), q = (1.0f - down.share) * across.share;
         const float r = down.share * (1.0f - across.share), s = down.share * across.share;
@@ -222,56 +225,89 @@ extern "C" __global__ void interpolate_compose(View cells, View before, View aft
                           p * a.path.by + q * b.path.by + r * c.path.by + s * d.path.by, a.path.first, a.path.last},
                          sharpest > CRISP ? sharpest : p * a.sharp + q * b.sharp + r * c.sharp + s * d.sharp};
         const Shown found = shown_by(one, before, after, y, x, t);
-        sum = settled(found, dim);
-        most = one.path;
-        weights = found.weights;
-    } else {
-        float shares[4], whole = 0.0f, best = 0.0f;
-        share_cells(cells, near, far, places, across.share, down.share, y, x, shares);
-        for (int k = 0; k < 4; k++) {
-            if (shares[k] == 0.0f) continue;
-            const Led one = cell_of(cells, places[k]);
-            const Shown found = shown_by(one, before, after, y, x, t);
-            const Colour &a = found.before, &b = found.after;
-            const float light = fabsf(a.r) + fabsf(a.g) + fabsf(a.b) + fabsf(b.r) + fabsf(b.g) + fabsf(b.b);
-            const float apart = found.weights.x == 0.0f || found.weights.y == 0.0f ? UNSURE
-                : (fabsf(a.r - b.r) + fabsf(a.g - b.g) + fabsf(a.b - b.b)) / (light + TINY);
-            const float share = shares[k] / (ALIKE + apart * apart);
-            const Colour mean = settled(found, dim);
-            sum = {sum.r + share * mean.r, sum.g + share * mean.g, sum.b + share * mean.b};
-            whole += share;
-            if (share > best) {
-                best = share;
-                most = one.path;
-                weights = found.weights;
-            }
-        }
-        sum = {sum.r / whole, sum.g / whole, sum.b / whole};
+        return {settled(found, dim), one.path, found.weights.x};
     }
-    const size_t pixel = size_t(y) * w + x;
-    float* const to = colour.at + 3 * pixel;
-    to[0] = sum.r, to[1] = sum.g, to[2] = sum.b;
-    four(paths, pixel) = {most.ax, most.ay, most.bx, most.by};
-    led.at[pixel] = weights.x;
+    Made made = {};
+    float shares[4], whole = 0.0f, best = 0.0f;
+    share_cells(cells, near, far, places, across.share, down.share, y, x, shares);
+    for (int k = 0; k < 4; k++) {
+        if (shares[k] == 0.0f) continue;
+        const Led one = cell_of(cells, places[k]);
+        const Shown found = shown_by(one, before, after, y, x, t);
+        const Colour &a = found.before, &b = found.after, mean = settled(found, dim);
+        const float light = fabsf(a.r) + fabsf(a.g) + fabsf(a.b) + fabsf(b.r) + fabsf(b.g) + fabsf(b.b);
+        const float apart = found.weights.x == 0.0f || found.weights.y == 0.0f ? UNSURE
+            : (fabsf(a.r - b.r) + fabsf(a.g - b.g) + fabsf(a.b - b.b)) / (light + TINY);
+        const float share = shares[k] / (ALIKE + apart * apart);
+        made.colour = {made.colour.r + share * mean.r, made.colour.g + share * mean.g, made.colour.b + share * mean.b};
+        whole += share;
+        if (share > best) {
+            best = share;
+            made.path = one.path;
+            made.led = found.weights.x;
+        }
+    }
+    made.colour = {made.colour.r / whole, made.colour.g / whole, made.colour.b / whole};
+    return made;
 }
 
-// Data (h, w, m): that of the nearest pixel in the frame that counts more. paths, led: as the picture's kernel left them.
+// The pixel whose data counts at a pixel: the nearest one in the frame that counts more, and whether that is the first.
+struct Taken {
+    size_t pixel;
+    bool is_first;
+};
+
+__device__ inline Taken taken_at(const Four& path, float led, int h, int w, int y, int x) {
+    const bool is_first = led >= 1.0f - led;
+    const Corner at = corner_of(y + 0.5f + (is_first ? path.y : path.w), x + 0.5f + (is_first ? path.x : path.z), h, w);
+    return {size_t(at.j) * w + at.i, is_first};
+}
+
+// The picture (h, w, 3), its motion (h, w, 2), shares[0] and shares[1] of what leads to both frames, and depth
+// (h, w, 1). near, far: depth of both frames.
+__device__ inline Made put_pixel(const View& cells, const View& before, const View& after, const View& near,
+                                 const View& far, const View& time, const View& level, const View& scale,
+                                 const View& shares, const View& motion, const View& depth, const View& colour, int y,
+                                 int x) {
+    const int h = colour.size[0], w = colour.size[1];
+    const Made made = made_at(cells, before, after, near, far, time.at[0], scale.at[0], DARK * level.at[0], y, x);
+    const Path& path = made.path;
+    const size_t pixel = size_t(y) * w + x;
+    const Taken taken = taken_at({path.ax, path.ay, path.bx, path.by}, made.led, h, w, y, x);
+    float* const to = colour.at + 3 * pixel;
+    to[0] = made.colour.r, to[1] = made.colour.g, to[2] = made.colour.b;
+    const float by_first = shares.at[0], by_last = shares.at[1];
+    pair(motion, pixel) = {by_first * path.ax + by_last * path.bx, by_first * path.ay + by_last * path.by};
+    depth.at[pixel] = (taken.is_first ? near : far).at[taken.pixel];
+    return made;
+}
+
+extern "C" __global__ void interpolate_compose(View cells, View before, View after, View near, View far, View time,
+                                               View level, View scale, View shares, View motion, View depth,
+                                               View colour) {
+    PIXEL(colour.size[1], colour.size[0]);
+    put_pixel(cells, before, after, near, far, time, level, scale, shares, motion, depth, colour, y, x);
+}
+
+// The same where other planes follow: the path that counts most (h, w, 4), and the weight of the frame before, `led`
+// (h, w, 1).
+extern "C" __global__ void interpolate_compose_all(View cells, View before, View after, View near, View far, View time,
+                                                   View level, View scale, View shares, View motion, View depth,
+                                                   View paths, View led, View colour) {
+    PIXEL(colour.size[1], colour.size[0]);
+    const Made made = put_pixel(cells, before, after, near, far, time, level, scale, shares, motion, depth, colour, y,
+                                x);
+    const size_t pixel = size_t(y) * colour.size[1] + x;
+    four(paths, pixel) = {made.path.ax, made.path.ay, made.path.bx, made.path.by};
+    led.at[pixel] = made.led;
+}
+
+// Data (h, w, m) that is taken from the nearest pixel in the frame that counts more.
 extern "C" __global__ void interpolate_take(View before, View after, View paths, View led, View data) {
     const int h = data.size[0], w = data.size[1], count = data.size[2];
     PIXEL(w, h);
     const size_t pixel = size_t(y) * w + x;
-    const Four path = four(paths, pixel);
-    const bool is_first = led.at[pixel] >= 1.0f - led.at[pixel];
-    const Corner at = corner_of(y + 0.5f + (is_first ? path.y : path.w), x + 0.5f + (is_first ? path.x : path.z), h, w);
-    const float* const from = (is_first ? before : after).at + (size_t(at.j) * w + at.i) * count;
+    const Taken taken = taken_at(four(paths, pixel), led.at[pixel], h, w, y, x);
+    const float* const from = (taken.is_first ? before : after).at + taken.pixel * count;
     for (int c = 0; c < count; c++) data.at[count * pixel + c] = from[c];
-}
-
-// Motion (h, w, 2) to another time: shares[0] and shares[1] of what leads to both frames.
-extern "C" __global__ void interpolate_motion(View paths, View shares, View motion) {
-    PIXEL(motion.size[1], motion.size[0]);
-    const size_t pixel = size_t(y) * motion.size[1] + x;
-    const Four path = four(paths, pixel);
-    const float by_first = shares.at[0], by_last = shares.at[1];
-    pair(motion, pixel) = {by_first * path.x + by_last * path.z, by_first * path.y + by_last * path.w};
 }

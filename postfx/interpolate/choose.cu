@@ -1,5 +1,5 @@
-// Which path shows what is at a cell, as choose.py chooses it. Pictures are held as (h, w, 4) without what is not finite;
-// toned ones are (h + 2 MARGIN, w + 2 MARGIN, 1). Cells are (rows, columns, 8).
+// Which path shows what is at a cell, as choose.py chooses it. Pictures are held as (h, w, 4) without what is not
+// finite; toned ones are (h + 2 MARGIN, w + 2 MARGIN, 1). Cells are (rows, columns, 8).
 
 // A picture (h, w, 3) as it is held.
 extern "C" __global__ void interpolate_hold(View picture, View held) {
@@ -20,6 +20,18 @@ __device__ inline float block_sum(float value) {
     float total = 0.0f;
     for (int k = 0; k < 8; k++) total += parts[k];
     return total;
+}
+
+// The largest value of a block's threads, in all of them.
+__device__ inline float block_max(float value) {
+    __shared__ float parts[8];
+    for (int mask = 16; mask; mask /= 2) value = fmaxf(value, __shfl_xor_sync(~0u, value, mask));
+    __syncthreads();
+    if (threadIdx.x % 32 == 0) parts[threadIdx.x / 32] = value;
+    __syncthreads();
+    float most = parts[0];
+    for (int k = 1; k < 8; k++) most = fmaxf(most, parts[k]);
+    return most;
 }
 
 // Sums over pixels of both pictures, one of each block (parts, 1): of their light, or of its logarithm.
@@ -241,33 +253,96 @@ extern "C" __global__ void interpolate_noise(View found, View noise) {
     float known_ones = 0.0f;
     for (int k = threadIdx.x; k < count; k += blockDim.x) known_ones += found.at[k] >= 0.0f;
     const int all = int(block_sum(known_ones));
-    const unsigned low = all ? select(found.at, count, (all - 1) / 2) : 0, high = all ? select(found.at, count, all / 2) : 0;
-    if (threadIdx.x == 0) noise.at[0] = 0.5f * (__int_as_float(int(low)) + __int_as_float(int(high)));
+    const float low = all ? __int_as_float(int(select(found.at, count, (all - 1) / 2))) : 0.0f;
+    float above = LARGEST_FLOAT, up_to = 0.0f;
+    for (int k = threadIdx.x; k < count; k += blockDim.x) {
+        const float value = found.at[k];
+        up_to += value >= 0.0f && value <= low;
+        if (value > low) above = fminf(above, value);
+    }
+    up_to = block_sum(up_to);
+    above = -block_max(-above);
+    const float high = int(up_to) > all / 2 ? low : above;  // of an even count, the second one in the middle
+    if (threadIdx.x == 0) noise.at[0] = 0.5f * (low + high);
+}
+
+// What arrived at a cell of one side: the mean path to both frames, in cells, its share that is seen, and its depth.
+// Where nothing arrived it is that of two neighbours on opposite sides, or NaN and FAR.
+struct Arrived {
+    Four path;
+    float seen, depth;
+};
+
+__device__ inline Arrived mean_of(const View& sums, int cell, float depth) {
+    const Four p = four(sums, 2 * size_t(cell)), q = four(sums, 2 * size_t(cell) + 1);
+    return {{p.x / q.y, p.y / q.y, p.z / q.y, p.w / q.y}, q.x / q.y, depth};
+}
+
+__device__ inline Arrived arrived_at(const View& nearest, const View& sums, int y, int x) {
+    const int h = nearest.size[0], w = nearest.size[1], cell = y * w + x;
+    if (nearest.at[cell] < FAR) return mean_of(sums, cell, nearest.at[cell]);
+    Arrived found = {{__int_as_float(0x7fc00000), 0.0f, 0.0f, 0.0f}, 0.0f, nearest.at[cell]};
+    float best = FAR;
+    const int down[4] = {0, 1, 1, 1}, right[4] = {1, 0, 1, -1};
+    for (int k = 0; k < 4; k++) {
+        const int j = down[k], i = right[k], step = j * w + i;
+        if (y < j || y >= h - j || x < abs(i) || x >= w - abs(i)) continue;
+        const float one = nearest.at[cell - step], other = nearest.at[cell + step];
+        if (!(one < FAR && fabsf(one - other) <= ALIKE * one && one < best)) continue;
+        best = one;
+        const Arrived p = mean_of(sums, cell - step, one), q = mean_of(sums, cell + step, other);
+        found = {{0.5f * (p.path.x + q.path.x), 0.5f * (p.path.y + q.path.y), 0.5f * (p.path.z + q.path.z),
+                  0.5f * (p.path.w + q.path.w)}, 0.5f * (p.seen + q.seen), 0.5f * (one + other)};
+    }
+    return found;
 }
 
 // A path of one frame's side, in pixels: that frame shows it, the other one if most paths that arrived are seen.
-__device__ inline Path side_path(const View& side, int cell, bool is_last, float scale) {
-    const Four p = four(side, 2 * size_t(cell));
-    const float seen = side.at[8 * size_t(cell) + 4] >= SURE;
-    return {scale * p.x, scale * p.y, scale * p.z, scale * p.w, is_last ? seen : 1.0f, is_last ? 1.0f : seen};
+__device__ inline Path side_path(const Four& path, float seen, bool is_last, float scale) {
+    const float other = seen >= SURE;
+    return {scale * path.x, scale * path.y, scale * path.z, scale * path.w, is_last ? other : 1.0f,
+            is_last ? 1.0f : other};
 }
 
-// The nearer path of both sides at each cell, or their mean where they are alike; NaN without.
-extern "C" __global__ void interpolate_merge(View first, View first_depth, View last, View last_depth, View scale,
-                                             View own) {
+__device__ inline float most_apart(const Path& one, const Path& other) {
+    return fmaxf(fmaxf(fabsf(one.ax - other.ax), fabsf(one.ay - other.ay)),
+                 fmaxf(fabsf(one.bx - other.bx), fabsf(one.by - other.by)));
+}
+
+// The same without jitter, written to a side (rows, columns, 8) and its depth (rows, columns, 1).
+__device__ inline Arrived put_side(const View& nearest, const View& sums, const View& facts, int y, int x,
+                                   const View& side, const View& depth) {
+    Arrived found = arrived_at(nearest, sums, y, x);
+    const float* const shift = facts.at + 5;  // what jitters of both frames take off again
+    found.path = {found.path.x - shift[0], found.path.y - shift[1], found.path.z - shift[2], found.path.w - shift[3]};
+    const size_t cell = size_t(y) * nearest.size[1] + x;
+    four(side, 2 * cell) = found.path;
+    four(side, 2 * cell + 1) = {found.seen, 0.0f, 0.0f, 0.0f};
+    depth.at[cell] = found.depth;
+    return found;
+}
+
+// What arrived of both sides, and of that at each cell the nearer path, or their mean where they are alike; NaN
+// without. The seventh number of `own` is how many pixels the sides' paths differ from it.
+extern "C" __global__ void interpolate_merge(View nearest_before, View sums_before, View nearest_after, View sums_after,
+                                             View facts, View scale, View first, View first_depth, View last,
+                                             View last_depth, View own) {
     PIXEL(own.size[1], own.size[0]);
-    const int cell = y * own.size[1] + x;
-    const float a = first_depth.at[cell], b = last_depth.at[cell];
-    Path one = side_path(first, cell, false, scale.at[0]);
-    const Path other = side_path(last, cell, true, scale.at[0]);
+    const Arrived before = put_side(nearest_before, sums_before, facts, y, x, first, first_depth);
+    const Arrived after = put_side(nearest_after, sums_after, facts, y, x, last, last_depth);
+    const float a = before.depth, b = after.depth;
+    const Path one = side_path(before.path, before.seen, false, scale.at[0]);
+    const Path other = side_path(after.path, after.seen, true, scale.at[0]);
+    Path merged = a < b ? one : other;
     if (a < FAR && b < FAR && fabsf(a - b) <= 1.5f * ALIKE * fminf(a, b)) {
         const bool is_any = other.first + one.last > 0.0f;
-        one = {0.5f * (one.ax + other.ax), 0.5f * (one.ay + other.ay), 0.5f * (one.bx + other.bx),
-               0.5f * (one.by + other.by), is_any ? other.first : 1.0f, is_any ? one.last : 1.0f};
-    } else if (!(a < b)) {
-        one = other;
+        merged = {0.5f * (one.ax + other.ax), 0.5f * (one.ay + other.ay), 0.5f * (one.bx + other.bx),
+                  0.5f * (one.by + other.by), is_any ? other.first : 1.0f, is_any ? one.last : 1.0f};
     }
-    put_path(own, cell, one);
+    const float apart = fmaxf(a < FAR ? most_apart(one, merged) : 0.0f, b < FAR ? most_apart(other, merged) : 0.0f);
+    const size_t cell = size_t(y) * own.size[1] + x;
+    four(own, 2 * cell) = {merged.ax, merged.ay, merged.bx, merged.by};
+    four(own, 2 * cell + 1) = {merged.first, merged.last, apart, 0.0f};
 }
 
 // Cells without a path get that of the farthest of the next ones above, below, to the left and to the right.
@@ -308,9 +383,22 @@ __device__ inline bool is_turning(const View& own, int y, int x, float size) {
     return 2.0f * TWIST * size < most && uneven < EVEN;
 }
 
+// Whether no path of both sides at a cell and at the four beside it differs from its own: known by how far they are
+// from those cells' own ones.
+__device__ inline bool is_alone(const View& own, int y, int x, const Path& mine) {
+    const int rows = own.size[0], columns = own.size[1], cell = y * columns + x;
+    const int beside[4] = {y > 0 ? cell - columns : cell, y < rows - 1 ? cell + columns : cell, x > 0 ? cell - 1 : cell,
+                           x < columns - 1 ? cell + 1 : cell};
+    float most = own.at[8 * size_t(cell) + 6];
+#pragma unroll
+    for (int k = 0; k < 4; k++)
+        most = fmaxf(most, most_apart(path_of(own, beside[k]), mine) + own.at[8 * size_t(beside[k]) + 6]);
+    return most <= 0.99f * OTHER;
+}
+
 // The path of each cell: its own, or another one around it that fits much better.
-extern "C" __global__ void interpolate_choose(View before, View after, View own, View first, View last, View first_depth,
-                                              View last_depth, View noise, View scale, View cells) {
+extern "C" __global__ void interpolate_choose(View before, View after, View own, View first, View last,
+                                              View first_depth, View last_depth, View noise, View scale, View cells) {
     const int rows = own.size[0], columns = own.size[1];
     PIXEL(columns, rows);
     const Toned toned = toned_of(before, after);
@@ -320,7 +408,8 @@ extern "C" __global__ void interpolate_choose(View before, View after, View own,
     const Path mine = path_of(own, cell);
     Path taken = mine, tried = mine;
     const bool is_shown = mine.first + mine.last == 2.0f;
-    if (!(is_shown && is_turning(own, y, x, size))) {  // no window that is moved alone can fit
+    // no window that is moved alone can fit what turns
+    if (!is_alone(own, y, x, mine) && !(is_shown && is_turning(own, y, x, size))) {
         const float depth = fminf(first_depth.at[cell], last_depth.at[cell]);
         const float better = is_still(mine) ? BETTER_STILL : BETTER;
         bool is_seen = false;
@@ -328,9 +417,10 @@ extern "C" __global__ void interpolate_choose(View before, View after, View own,
         for (int k = 0; k < 10; k++) {
             const int step = k % 5, j = y + down[step], i = x + right[step], there = j * columns + i;
             if (!(0 <= j && j < rows && 0 <= i && i < columns)) continue;
-            const Path path = side_path(k < 5 ? first : last, there, k >= 5, size);
-            if (path.ax != path.ax || !(differ(path, mine, OTHER) && differ(path, taken, OTHER) && differ(path, tried, OTHER)))
-                continue;
+            const View& side = k < 5 ? first : last;
+            const Path path = side_path(four(side, 2 * size_t(there)), side.at[8 * size_t(there) + 4], k >= 5, size);
+            const bool is_other = differ(path, mine, OTHER) && differ(path, taken, OTHER) && differ(path, tried, OTHER);
+            if (path.ax != path.ax || !is_other) continue;
             tried = path;
             if (is_shown && depth < BEFORE * (k < 5 ? first_depth : last_depth).at[there]) {
                 const float allowed = difference(toned, v, u, path) + least

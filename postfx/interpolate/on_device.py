@@ -29,8 +29,8 @@ from postfx.runtime.memory import CUDA
 from postfx.runtime.tensor import Tensor
 
 NEEDED = (Role.COLOUR, Role.DEPTH, Role.MOTION)
-TAKEN = (Role.DEPTH, Role.NORMAL)
-"""Planes that are taken from one frame's nearest pixel."""
+TAKEN = (Role.NORMAL,)
+"""Planes beside these that new frames may have."""
 PARTS = 132
 """Blocks that sum up light."""
 FACTS = 9
@@ -79,21 +79,23 @@ LEAD_AHEAD = _kernel("lead_ahead", "ahead:motion motion:motion depth_before:dept
                      "facts:facts bend_after:motion", "ends:ends bend:motion seen:depth")
 MISFITS = _kernel("misfits", "before:toned after:toned ends:ends seen:depth scale:number", "found:misfits")
 NOISE = _kernel("noise", "found:misfits", "noise:number", _SUMMING)
-CLEAR = _kernel("clear", "", "nearest:depth sums:cells")
+CLEAR = _kernel("clear", "", "nearest_before:depth nearest_after:depth sums_before:cells sums_after:cells")
 NEAREST = _kernel("nearest", "ends:ends bend:motion depth:depth time:number nearest:depth", "nearest:depth")
 MEANS = _kernel("means", "ends:ends bend:motion depth:depth seen:depth time:number nearest:depth sums:cells",
                 "sums:cells")
-CLOSE = _kernel("close", "nearest:depth sums:cells facts:facts", "side:cells depth:depth")
-MERGE = _kernel("merge", "first:cells first_depth:depth last:cells last_depth:depth scale:number", "own:cells")
+MERGE = _kernel("merge", "nearest_before:depth sums_before:cells nearest_after:depth sums_after:cells facts:facts "
+                "scale:number", "first:cells first_depth:depth last:cells last_depth:depth own:cells")
 FILL = _kernel("fill", "first_depth:depth last_depth:depth own:cells", "own:cells")
 CHOOSE = _kernel("choose", "before:toned after:toned own:cells first:cells last:cells first_depth:depth "
                  "last_depth:depth noise:number scale:number", "cells:cells")
 JOIN = _kernel("join", "cells:cells", "cells:cells")
 DETAIL = _kernel("detail", "before:toned after:toned noise:number scale:number cells:cells", "cells:cells")
-COMPOSE = _kernel("compose", "cells:cells before:held after:held near:pixel_depth far:pixel_depth time:number "
-                  "level:number scale:number", "colour:colour paths:paths led:led")
+_COMPOSED = ("cells:cells before:held after:held near:pixel_depth far:pixel_depth time:number level:number "
+             "scale:number shares:two")
+COMPOSE = _kernel("compose", _COMPOSED, "motion:pixel_motion depth:pixel_depth colour:colour")
+COMPOSE_ALL = _kernel("compose_all", _COMPOSED, "motion:pixel_motion depth:pixel_depth paths:paths led:led "
+                      "colour:colour")
 TAKE = _kernel("take", "before:plane after:plane paths:paths led:led", "data:plane")
-MOTION = _kernel("motion", "paths:paths shares:two", "motion:pixel_motion")
 
 Step = tuple[Kernel, dict[str, str]]
 """A kernel, and its buffers by binding."""
@@ -119,22 +121,24 @@ PAIR: tuple[tuple[Step, ...], ...] = (
            "ends_before bend_before seen_before"),
      _step(MISFITS, "toned_before toned_after ends_after seen_after scale misfits")),
     (_step(NOISE, "misfits noise"),))
+_COMPOSED_OF = "chosen before.held after.held before.depth after.depth time level scale shares new.motion new.depth"
 FRAME: tuple[tuple[Step, ...], ...] = (
-    tuple(_step(CLEAR, f"nearest_{side} sums_{side}") for side in ("before", "after")),
+    (_step(CLEAR, "nearest_before nearest_after sums_before sums_after"),),
     tuple(_step(NEAREST, f"ends_{side} bend_{side} {side}.cell_depth time nearest_{side}")
           for side in ("before", "after")),
     tuple(_step(MEANS, f"ends_{side} bend_{side} {side}.cell_depth seen_{side} time nearest_{side} sums_{side}")
           for side in ("before", "after")),
-    tuple(_step(CLOSE, f"nearest_{side} sums_{side} facts_{side} side_{side} depth_{side}")
-          for side in ("before", "after")),
-    (_step(MERGE, "side_before depth_before side_after depth_after scale own"),),
+    (_step(MERGE, "nearest_before sums_before nearest_after sums_after facts_after scale side_before depth_before "
+           "side_after depth_after own"),),
     (_step(FILL, "depth_before depth_after own"),),
     (_step(CHOOSE, "toned_before toned_after own side_before side_after depth_before depth_after noise scale chosen"),),
     (_step(JOIN, "chosen"),),
-    (_step(DETAIL, "toned_before toned_after noise scale chosen"),),
-    (_step(COMPOSE, "chosen before.held after.held before.depth after.depth time level scale new.colour paths led"),),
-    (_step(MOTION, "paths shares new.motion"),
-     *(_step(TAKE, f"before.{role} after.{role} paths led new.{role}") for role in TAKEN)))
+    (_step(DETAIL, "toned_before toned_after noise scale chosen"),))
+PICTURE: tuple[tuple[Step, ...], ...] = ((_step(COMPOSE, f"{_COMPOSED_OF} new.colour"),),)
+ALL_PLANES: tuple[tuple[Step, ...], ...] = (
+    (_step(COMPOSE_ALL, f"{_COMPOSED_OF} paths led new.colour"),),
+    tuple(_step(TAKE, f"before.{role} after.{role} paths led new.{role}") for role in TAKEN))
+"""The last steps of a time, without planes that are taken along the paths of the picture, and with them."""
 
 
 def sizes_of(height: int, width: int) -> dict[str, int]:
@@ -151,7 +155,7 @@ def scale_of(height: int, width: int) -> int:
 
 
 def shapes_of(steps: Iterable[Iterable[Step]], sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of all buffers that steps name; planes that may have any number of channels have that of normals."""
+    """Shapes of all buffers that steps name; planes that may have any number of channels have three."""
     symbols = {"channels": 3, **sizes}
     return {buffer: tuple(size if isinstance(size, int) else symbols[size] for size in kernel.shapes[binding])
             for group in steps for kernel, buffers in group for binding, buffer in buffers.items()}
@@ -249,9 +253,8 @@ class DeviceInterpolator:
         back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
         given = {"time": self._number("time", t), "shares": self._number("shares", *back)}
         roles = [role for role in (*NEEDED, *TAKEN) if all(role in frame for frame in self._frames)]
-        steps = [tuple(step for step in group if step[0] is not TAKE or step[1]["data"][4:] in roles)
-                 for group in FRAME]
-        self.milliseconds["frame"] = self._run("frame", steps, given)
+        last = ALL_PLANES if len(roles) > len(NEEDED) else PICTURE
+        self.milliseconds["frame"] = self._run("frame", (*FRAME, *last), given)
         return {role: self._buffer(f"new.{role}", {}) for role in roles}
 
     def _allocate(self, size: tuple[int, int]) -> None:
@@ -260,11 +263,10 @@ class DeviceInterpolator:
             tensor.release()
         self._size, self._frames, self._jitters, self._resets, self._facts = size, [], [], [], {}
         self._buffers, self._tables = {}, LRUCache(MOST_TABLES)
-        for name, shape in shapes_of((*PUSH, *PAIR, *FRAME), sizes_of(*size)).items():
+        for name, shape in shapes_of((*PUSH, *PAIR, *FRAME, *ALL_PLANES), sizes_of(*size)).items():
             side, _, plane = name.rpartition(".")
             if name in ("time", "shares") or side == "before" or (side == "after" and plane in ROLES):
                 continue
-            shape = (*shape[:2], 1) if plane == Role.DEPTH and side else shape
             for index in range(2 if side else 1):
                 place = f"{index}.{side}.{plane}" if side else name
                 self._buffers[place] = self._device.heap.tensor(f"interpolate {place}", shape)

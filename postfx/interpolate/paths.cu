@@ -44,8 +44,8 @@ extern "C" __global__ void interpolate_arrive(View motion, View depth, View keys
     const Pair by = pair(motion, cell);
     const float u = x + 0.5f + by.x, v = y + 0.5f + by.y;
     if (!(0.0f <= u && u < columns && 0.0f <= v && v < rows)) return;  // NaN, too
-    const unsigned long long key = static_cast<unsigned long long>(__float_as_uint(depth.at[cell])) << 32 | unsigned(cell);
-    atomicMin(reinterpret_cast<unsigned long long*>(keys.at) + int(v) * columns + int(u), key);
+    const unsigned long long front = __float_as_uint(depth.at[cell]);
+    atomicMin(reinterpret_cast<unsigned long long*>(keys.at) + int(v) * columns + int(u), front << 32 | unsigned(cell));
 }
 
 __device__ inline Pair led_to(const View& keys, const View& motion, int cell) {
@@ -157,8 +157,8 @@ __device__ inline float swing_of(float cosine) {
 
 // Paths of the frame after: ends (rows, columns, 4), bend (rows, columns, 2), seen (rows, columns, 1). facts: whether
 // the motion `came` of the frame before is known, and what jitters of both frames add to the ends.
-extern "C" __global__ void interpolate_lead_back(View motion, View ahead, View depth_before, View depth_after, View came,
-                                                 View facts, View ends, View bend, View seen) {
+extern "C" __global__ void interpolate_lead_back(View motion, View ahead, View depth_before, View depth_after,
+                                                 View came, View facts, View ends, View bend, View seen) {
     const int h = seen.size[0], w = seen.size[1];
     PIXEL(w, h);
     const int cell = y * w + x;
@@ -239,11 +239,13 @@ extern "C" __global__ void interpolate_lead_ahead(View ahead, View motion, View 
 
 // What arrives at each cell at time[0]: least depth (rows, columns, 1), then sums (rows, columns, 8) of the nearest
 // surface's paths: to both frames, seen, weight. Both begin as FAR and 0.
-extern "C" __global__ void interpolate_clear(View nearest, View sums) {
-    PIXEL(nearest.size[1], nearest.size[0]);
-    const size_t cell = size_t(y) * nearest.size[1] + x;
-    nearest.at[cell] = FAR;
-    four(sums, 2 * cell) = four(sums, 2 * cell + 1) = {0.0f, 0.0f, 0.0f, 0.0f};
+extern "C" __global__ void interpolate_clear(View nearest_before, View nearest_after, View sums_before,
+                                             View sums_after) {
+    PIXEL(sums_after.size[1], sums_after.size[0]);
+    const size_t cell = size_t(y) * sums_after.size[1] + x;
+    nearest_before.at[cell] = nearest_after.at[cell] = FAR;
+    four(sums_before, 2 * cell) = four(sums_before, 2 * cell + 1) = {0.0f, 0.0f, 0.0f, 0.0f};
+    four(sums_after, 2 * cell) = four(sums_after, 2 * cell + 1) = {0.0f, 0.0f, 0.0f, 0.0f};
 }
 
 // Neighbouring floats added in one transfer where a GPU can do that.
@@ -304,43 +306,4 @@ extern "C" __global__ void interpolate_means(View ends, View bend, View depth, V
             add_two(to + 4, weight * seen.at[cell], weight);
         }
     }
-}
-
-// Means of the sums, in place of them, and their depth: cells where nothing arrived get those of two neighbours on
-// opposite sides, or NaN and FAR. `shift`: what jitters of both frames take off again.
-struct Arrived {
-    float path[5];
-};
-
-__device__ inline Arrived mean_of(const View& sums, int cell) {
-    const Four p = four(sums, 2 * cell), q = four(sums, 2 * cell + 1);
-    return {{p.x / q.y, p.y / q.y, p.z / q.y, p.w / q.y, q.x / q.y}};
-}
-
-extern "C" __global__ void interpolate_close(View nearest, View sums, View facts, View side, View depth) {
-    const int h = nearest.size[0], w = nearest.size[1];
-    PIXEL(w, h);
-    const int cell = y * w + x;
-    float front = nearest.at[cell];
-    Arrived found = {{__int_as_float(0x7fc00000), 0.0f, 0.0f, 0.0f, 0.0f}};
-    if (front < FAR) {
-        found = mean_of(sums, cell);
-    } else {
-        float best = FAR;
-        const int down[4] = {0, 1, 1, 1}, right[4] = {1, 0, 1, -1};
-        for (int k = 0; k < 4; k++) {
-            const int j = down[k], i = right[k], step = j * w + i;
-            if (y < j || y >= h - j || x < abs(i) || x >= w - abs(i)) continue;
-            const float one = nearest.at[cell - step], other = nearest.at[cell + step];
-            if (!(one < FAR && fabsf(one - other) <= ALIKE * one && one < best)) continue;
-            best = one;
-            const Arrived p = mean_of(sums, cell - step), q = mean_of(sums, cell + step);
-            for (int c = 0; c < 5; c++) found.path[c] = 0.5f * (p.path[c] + q.path[c]);
-            front = 0.5f * (one + other);
-        }
-    }
-    const float *const p = found.path, *const shift = facts.at + 5;
-    four(side, 2 * cell) = {p[0] - shift[0], p[1] - shift[1], p[2] - shift[2], p[3] - shift[3]};
-    four(side, 2 * cell + 1) = {p[4], 0.0f, 0.0f, 0.0f};
-    depth.at[cell] = front;
 }
