@@ -208,10 +208,10 @@ def is_touched(back: np.ndarray, depth: np.ndarray, v: Real, u: Real, fx: Real, 
     back."""
     h, w = depth.shape[:2]
     j, i = int(np.floor(v)), int(np.floor(u))
-    for b in range(max(j, 0), min(j + 2, h)):
-        for a in range(max(i, 0), min(i + 2, w)):
-            leads_back = abs(back[b, a, 0] + fx) <= SEEN and abs(back[b, a, 1] + fy) <= SEEN
-            if depth[b, a, 0] < COVERS * z and not leads_back:
+    before = COVERS * z
+    for b, a in ((j, i), (j, i + 1), (j + 1, i), (j + 1, i + 1)):
+        if (np.uint64(b) < np.uint64(h)) & (np.uint64(a) < np.uint64(w)) and depth[b, a, 0] < before:
+            if not (abs(back[b, a, 0] + fx) <= SEEN and abs(back[b, a, 1] + fy) <= SEEN):
                 return True
     return False
 
