@@ -112,6 +112,22 @@ inline unsigned short to_half(float value) {
 }
 #endif
 
+// Heads are numbers in single precision, or bits of half precision.
+typedef unsigned short Half;
+
+__device__ inline float as_float(float number) {
+    return number;
+}
+
+__device__ inline float as_float(Half bits) {
+    return from_half(bits);
+}
+
+template <class Number>
+__device__ inline const Number* numbers(const View& view) {
+    return reinterpret_cast<const Number*>(view.at);
+}
+
 // Activations of the network's heads: of filter weights, and of shares.
 __device__ inline float weight_of(float logit) {
     return expf(fminf(fmaxf(logit, -STEEPEST), STEEPEST));
@@ -191,11 +207,12 @@ __device__ inline void wide_gauss(float offset, float weights[3]) {
 
 // A head's value at an output pixel from its first of four planes, one for each quarter-pixel corner of a render pixel:
 // at one of them if DOUBLED, else linear between them, `right` and `lower` from the first.
-template <bool DOUBLED>
-__device__ inline float at_corner(const float* first, size_t plane, int corner, float right, float lower) {
-    if (DOUBLED) return first[corner * plane];
-    const float before = first[0] + (first[2 * plane] - first[0]) * lower;
-    const float after = first[plane] + (first[3 * plane] - first[plane]) * lower;
+template <bool DOUBLED, class Number>
+__device__ inline float at_corner(const Number* first, size_t plane, int corner, float right, float lower) {
+    if (DOUBLED) return as_float(first[corner * plane]);
+    const float above = as_float(first[0]), beside = as_float(first[plane]);
+    const float before = above + (as_float(first[2 * plane]) - above) * lower;
+    const float after = beside + (as_float(first[3 * plane]) - beside) * lower;
     return before + (after - before) * right;
 }
 
@@ -252,7 +269,7 @@ __device__ inline Colour moved_picture(const float* picture, int y, int x, const
 enum Multiplied { BY_NOTHING, BY_GUIDES, BY_OWN };
 
 // LINEAR light is neither sharpened nor encoded.
-template <bool DOUBLED, Multiplied BY, bool LINEAR>
+template <bool DOUBLED, class Number, Multiplied BY, bool LINEAR>
 __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
                                     const View& moved, const View& past, const View& params, const View& keep,
                                     const Guide& guide) {
@@ -270,7 +287,7 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
     wide_gauss(u, wide_x);
     wide_gauss(v, wide_y);
     const size_t plane = size_t(fine.size[2]) * fine.size[3];  // 80 of them may hold more than 2^31 numbers
-    const float* const head = fine.at + size_t(row) * fine.size[3] + column;
+    const Number* const head = numbers<Number>(fine) + size_t(row) * fine.size[3] + column;
     const int picture = radiance.size[1] * radiance.size[2];
     const float* const samples = radiance.at + row * radiance.size[2] + column;
     const float narrow[3] = {gauss(u - 1.0f), gauss(u), gauss(u + 1.0f)};
@@ -281,7 +298,7 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
         const float across = gauss(j - 1 + v);
 #pragma unroll
         for (int i = 0; i < 3; i++) {
-            const float* const tap = head + (TAP_WEIGHTS + 4 * (3 * j + i)) * plane;
+            const Number* const tap = head + (TAP_WEIGHTS + 4 * (3 * j + i)) * plane;
             const float weight = at_corner<DOUBLED>(tap, plane, corner, right, lower) * (across * narrow[i]);
             const float even = wide_y[j] * wide_x[i];
             const float* const sample = samples + j * radiance.size[2] + i;
@@ -315,13 +332,13 @@ __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View
 }
 
 // The same at any scale; x and y count the frame's output pixels.
-template <Multiplied BY = BY_NOTHING, bool LINEAR = false>
+template <class Number, Multiplied BY = BY_NOTHING, bool LINEAR = false>
 __device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
                                     const View& moved, const View& past, const View& params, const View& keep,
                                     const Guide& guide = {}) {
     if (part.width == 2 * part.w && part.height == 2 * part.h)
-        return enlarged<true, BY, LINEAR>(x, y, part, radiance, fine, moved, past, params, keep, guide);
-    return enlarged<false, BY, LINEAR>(x, y, part, radiance, fine, moved, past, params, keep, guide);
+        return enlarged<true, Number, BY, LINEAR>(x, y, part, radiance, fine, moved, past, params, keep, guide);
+    return enlarged<false, Number, BY, LINEAR>(x, y, part, radiance, fine, moved, past, params, keep, guide);
 }
 
 // Blends one channel with the reprojected history and decodes it; `at` counts floats.

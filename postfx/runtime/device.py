@@ -241,6 +241,11 @@ class Device:
         """Whether kernels run as compiled rows, so that those without another form run, too."""
         return self._compiled and self.memory.host_visible
 
+    @property
+    def gpu(self) -> CudaMemory | None:
+        """The GPU that kernels run on by their CUDA sources; None where they run otherwise."""
+        return self.memory if self._compiled and isinstance(self.memory, CudaMemory) else None
+
     def command_buffer(self, label: str, captured: bool = True, known: Recordings | None = None) -> CommandBuffer:
         """A new, empty command buffer. An active capture records it if `captured`; what it records is looked up among
         `known` recordings."""
@@ -283,8 +288,8 @@ class Device:
         return next(self._encoders)
 
     def _make_state(self, kernel: Kernel) -> State:
-        if self._compiled and isinstance(self.memory, CudaMemory) and (source := find_source(kernel)):
-            return CudaComputeState(self, kernel, self.memory, source)
+        if self.gpu and (source := find_source(kernel)):
+            return CudaComputeState(self, kernel, self.gpu, source)
         if self.runs_rows:
             return CompiledComputeState(self, kernel)
         return self._portable_state(kernel)

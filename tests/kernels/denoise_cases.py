@@ -15,7 +15,9 @@ from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS,
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,
+    OPEN_FINE_HALF,
     OPEN_FINE_PRODUCTS,
+    OPEN_HALF,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     PACK,
@@ -28,6 +30,7 @@ from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, mea
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
+from postfx.passes.denoise.network import IN_HALF
 from postfx.passes.denoise.tiling import Sizes, Window
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.states import parse
@@ -45,6 +48,8 @@ KERNELS = (
     STORE_RINGED,
     REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, GATHER, CORRECT, DECODE, DECODE_ONE,
 )
+HALVES = (OPEN_HALF, OPEN_FINE_HALF, *IN_HALF.values())
+"""Kernels that only GPUs run."""
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "part", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth",
@@ -108,12 +113,13 @@ that end beyond the frame, with first rows and columns that differ."""
 
 def runs_of(kernel: Kernel) -> list[tuple[Case, bool]]:
     """Cases of a kernel, each with clean planes and with bad ones."""
-    return [(case, bad) for case in CASES if kernel is not MIX_LEVELS or case.heads > 25 for bad in (False, True)]
+    mixes = kernel.name.startswith(MIX_LEVELS.name)
+    return [(case, bad) for case in CASES if not mixes or case.heads > 25 for bad in (False, True)]
 
 
 def case_for(kernel: Kernel, case: Case) -> Case:
     """The case, with an output of the render size for the kernel that runs only there."""
-    return case._replace(height=case.h, width=case.w) if kernel is UPSAMPLE_UNSCALED else case
+    return case._replace(height=case.h, width=case.w) if kernel.name.startswith(UPSAMPLE_UNSCALED.name) else case
 
 
 def shape(kernel: Kernel, binding: str, case: Case) -> tuple[int, ...]:

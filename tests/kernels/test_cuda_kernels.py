@@ -12,12 +12,12 @@ from postfx.kernels.denoise.output import DETAIL, JUDGE, TILE
 from postfx.runtime import Device
 from postfx.runtime.cuda import find_source
 from tests.kernels import host_cuda, tonemap_cases
-from tests.kernels.denoise_cases import KERNELS, arguments, element_type, in_frame, run, runs_of, shape
+from tests.kernels.denoise_cases import HALVES, KERNELS, arguments, element_type, in_frame, run, runs_of, shape
 from tests.kernels.test_denoise_kernels import assert_same
 
 pytestmark = pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
 
-WRITTEN = [kernel for kernel in KERNELS if find_source(kernel)]
+WRITTEN = [*(kernel for kernel in KERNELS if find_source(kernel)), *HALVES]
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,7 @@ prints them for the CUDA kernels, and training imports them, those here also on 
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -107,3 +108,14 @@ def kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...], rows: Cal
     """A kernel whose bindings have the shapes above, or those given."""
     named = SHAPES | shapes
     return Kernel(f"denoise_{name}", reads, writes, rows, rows_of, {key: named[key] for key in reads + writes})
+
+
+def in_half(kernel: Kernel, *names: str) -> Kernel:
+    """The kernel for a GPU beside a network in half precision, where these bindings are in it, too: they are most of
+    what such a kernel reads. The rows say what it computes; no device runs them."""
+    def rows(y0: int, y1: int, *tensors: np.ndarray) -> None:
+        count = len(kernel.reads)
+        kernel.rows(y0, y1, *(tensor.astype(np.float32) for tensor in tensors[:count]), *tensors[count:])
+
+    types = dict(kernel.types) | dict.fromkeys(names, "float16")
+    return replace(kernel, name=f"{kernel.name}_half", rows=rows, types=types)

@@ -4,7 +4,7 @@
 // -> past (th, tw, 4), whose count is -1 where the history lacks a pixel of the frame, and
 // features (1, 35, hp, wp): colour 0, accumulated colour 3, last output 6, diffuse albedo 9, specular albedo 12,
 // normal 15, roughness 18, depth 19, its change 20, valid history 21, sample count 22, jitter 23, length of motion 25,
-// inverse scale 26, hidden state 27.
+// inverse scale 26, hidden state 27. In half precision they are together, (1, hp, wp, 40).
 
 // The frame before's state at a pixel, zero where it is not `valid`, and the depth of the nearest pixel.
 struct Recalled {
@@ -76,20 +76,37 @@ __device__ inline Colour three(const View& picture, size_t pixel) {
     return {at[0], at[1], at[2]};
 }
 
-// Three planes from `to` on.
-__device__ inline void put(float* to, size_t plane, const Colour& value) {
+// Three channels from `to` on.
+__device__ inline void put(float* to, const Colour& value) {
     to[0] = value.r;
-    to[plane] = value.g;
-    to[2 * plane] = value.b;
+    to[1] = value.g;
+    to[2] = value.b;
 }
 
-__device__ inline void put_bounded(float* to, size_t plane, const Colour& value, float low, float high) {
-    put(to, plane, {clamped(value.r, low, high), clamped(value.g, low, high), clamped(value.b, low, high)});
+__device__ inline void put_bounded(float* to, const Colour& value, float low, float high) {
+    put(to, {clamped(value.r, low, high), clamped(value.g, low, high), clamped(value.b, low, high)});
 }
 
-__device__ inline void put_four(float* to, size_t plane, const Four& value) {
-    put(to, plane, {value.x, value.y, value.z});
-    to[3 * plane] = value.w;
+__device__ inline void put_four(float* to, const Four& value) {
+    put(to, {value.x, value.y, value.z});
+    to[3] = value.w;
+}
+
+// All channels of a pixel go to planes, or stay together in half precision.
+__device__ inline void keep_planes(const float* channels, const View& features, size_t pixel, size_t plane) {
+#pragma unroll
+    for (int i = 0; i < FEATURES; i++) features.at[i * plane + pixel] = channels[i];
+}
+
+__device__ inline void keep_together(const float* channels, const View& packed, size_t pixel) {
+    Halves* const to = halves(packed) + pixel * (packed.size[3] / 8);
+#pragma unroll
+    for (int first = 0; first < FEATURES; first += 8) {
+        Halves some;
+#pragma unroll
+        for (int i = 0; i < 8; i++) some.at[i] = first + i < FEATURES ? to_half(channels[first + i]) : 0;
+        to[first / 8] = some;
+    }
 }
 
 // This frame's colour of a channel without reflectance, log-encoded; `share` is one over the reflectance.
@@ -103,16 +120,17 @@ __device__ inline float depth_change(float before, float depth) {
     return fminf(fmaxf(4.0f * logf(ratio), -1.0f), 1.0f);
 }
 
-extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, View specular_albedo, View normal,
-                                            View roughness, View depth, View moved, View state, View last_depth,
-                                            View warped, View depth_scale, View params, View window, View keep,
-                                            View seen_rows, View seen_columns, View past, View features) {
-    const int height = features.size[2], width = features.size[3];
+template <bool TOGETHER>
+__device__ inline void prepare_features(View colour, View diffuse_albedo, View specular_albedo, View normal,
+                                        View roughness, View depth, View moved, View state, View last_depth,
+                                        View warped, View depth_scale, View params, View window, View keep,
+                                        View seen_rows, View seen_columns, View past, View features) {
+    const int height = seen_rows.size[0], width = seen_columns.size[0];
     PIXEL(width, height);
     const Window part = window_of(window);
     const int row = int(seen_rows.at[y]), column = int(seen_columns.at[x]);
     const int w = part.w, v = part.top + row, u = part.left + column;
-    const size_t pixel = size_t(v) * w + u, plane = size_t(height) * width;
+    const size_t pixel = size_t(v) * w + u, seen = size_t(y) * width + x;
     // Everything is read before the first write, so that the reads wait together.
     const float exposure = params.at[EXPOSURE], gain = params.at[GAIN], used = share_of(keep, row, column);
     const float jitter_x = params.at[JITTER_X], jitter_y = params.at[JITTER_Y], scale = depth_scale.at[0];
@@ -126,30 +144,48 @@ extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, Vi
     const Colour share = {1.0f / factor.r, 1.0f / factor.g, 1.0f / factor.b};
     const Colour kept = {memory.mean.x * gain, memory.mean.y * gain, memory.mean.z * gain};
 
-    float* to = features.at + size_t(y) * width + x;
-    put(to, plane, {encoded_now(now.r, exposure, share.r), encoded_now(now.g, exposure, share.g),
-                    encoded_now(now.b, exposure, share.b)});
-    put(to + 3 * plane, plane, {log_encode(kept.r * memory.valid), log_encode(kept.g * memory.valid),
-                                log_encode(kept.b * memory.valid)});
-    put(to + 6 * plane, plane, {log_encode(expm1f(mean.r) * memory.valid * share.r),
-                                log_encode(expm1f(mean.g) * memory.valid * share.g),
-                                log_encode(expm1f(mean.b) * memory.valid * share.b)});
-    put_bounded(to + 9 * plane, plane, diffuse, 0.0f, 2.0f);
-    put_bounded(to + 12 * plane, plane, specular, 0.0f, 2.0f);
-    put_bounded(to + 15 * plane, plane, direction, -1.0f, 1.0f);
-    to[18 * plane] = clamped(rough, 0.0f, 1.0f);
-    to[19 * plane] = scale / (scale + z);
-    to[20 * plane] = depth_change(memory.depth, z) * memory.valid;
-    to[21 * plane] = memory.valid;
-    to[22 * plane] = fmaxf(memory.mean.w, 0.0f) / MAX_COUNT;
-    to[23 * plane] = jitter_x;
-    to[24 * plane] = jitter_y;
-    to[25 * plane] = log1pf(sqrtf(motion.x * motion.x + motion.y * motion.y)) * 0.25f;
-    to[26 * plane] = float(w) / float(part.width);
-    put_four(to + 27 * plane, plane, memory.first);
-    put_four(to + 31 * plane, plane, memory.second);
+    float to[FEATURES];
+    put(to, {encoded_now(now.r, exposure, share.r), encoded_now(now.g, exposure, share.g),
+             encoded_now(now.b, exposure, share.b)});
+    put(to + 3, {log_encode(kept.r * memory.valid), log_encode(kept.g * memory.valid),
+                 log_encode(kept.b * memory.valid)});
+    put(to + 6, {log_encode(expm1f(mean.r) * memory.valid * share.r),
+                 log_encode(expm1f(mean.g) * memory.valid * share.g),
+                 log_encode(expm1f(mean.b) * memory.valid * share.b)});
+    put_bounded(to + 9, diffuse, 0.0f, 2.0f);
+    put_bounded(to + 12, specular, 0.0f, 2.0f);
+    put_bounded(to + 15, direction, -1.0f, 1.0f);
+    to[18] = clamped(rough, 0.0f, 1.0f);
+    to[19] = scale / (scale + z);
+    to[20] = depth_change(memory.depth, z) * memory.valid;
+    to[21] = memory.valid;
+    to[22] = fmaxf(memory.mean.w, 0.0f) / MAX_COUNT;
+    to[23] = jitter_x;
+    to[24] = jitter_y;
+    to[25] = log1pf(sqrtf(motion.x * motion.x + motion.y * motion.y)) * 0.25f;
+    to[26] = float(w) / float(part.width);
+    put_four(to + 27, memory.first);
+    put_four(to + 31, memory.second);
+    if (TOGETHER) keep_together(to, features, seen);
+    else keep_planes(to, features, seen, size_t(height) * width);
     if (y < past.size[0] && x < past.size[1])
         four(past, size_t(y) * past.size[1] + x) = {kept.r, kept.g, kept.b, memory.mean.w};
+}
+
+extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, View specular_albedo, View normal,
+                                            View roughness, View depth, View moved, View state, View last_depth,
+                                            View warped, View depth_scale, View params, View window, View keep,
+                                            View seen_rows, View seen_columns, View past, View features) {
+    prepare_features<false>(colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
+                            warped, depth_scale, params, window, keep, seen_rows, seen_columns, past, features);
+}
+
+extern "C" __global__ void denoise_features_half(View colour, View diffuse_albedo, View specular_albedo, View normal,
+                                                 View roughness, View depth, View moved, View state, View last_depth,
+                                                 View warped, View depth_scale, View params, View window, View keep,
+                                                 View seen_rows, View seen_columns, View past, View features) {
+    prepare_features<true>(colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
+                           warped, depth_scale, params, window, keep, seen_rows, seen_columns, past, features);
 }
 
 // The nearest guide pixel at each corner of a render pixel, as the network sees these: guide_diffuse_albedo,

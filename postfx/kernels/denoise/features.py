@@ -8,6 +8,7 @@ motion 25, inverse scale 26, hidden state 27. The torch definition is ``training
 
 import numpy as np
 
+from postfx.kernels import Kernel
 from postfx.kernels.denoise import (
     DOUBT,
     EXPOSURE,
@@ -40,6 +41,7 @@ from postfx.kernels.denoise import (
     kernel,
 )
 from postfx.kernels.denoise.history import kept_row
+from postfx.kernels.denoise.network_io import pack_rows, width
 from postfx.kernels.numeric import (
     Real,
     clamp,
@@ -246,6 +248,20 @@ def feature_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.ndarra
 FEATURE = kernel("features", ("colour", *REFLECTANCE, "normal", "roughness", "depth", "moved", "state", "last_depth",
                               "warped", "depth_scale", "params", "window", "keep", "seen_rows", "seen_columns"),
                  ("past", "features"), feature_rows, ("features", 2))
+
+
+def packed_feature_rows(y0: int, y1: int, *tensors: np.ndarray) -> None:
+    """The same channels last, in half precision."""
+    *reads, past, packed = tensors
+    features = np.empty((1, FEATURES, *packed.shape[1:3]), np.float32)
+    feature_rows(y0, y1, *reads, past, features)
+    pack_rows(y0, y1, features, packed)
+
+
+FEATURE_HALF = Kernel(f"{FEATURE.name}_half", FEATURE.reads, ("past", "packed_features"), packed_feature_rows,
+                      ("packed_features", 1),
+                      {name: shape for name, shape in FEATURE.shapes.items() if name != "features"}
+                      | {"packed_features": (1, "hp", "wp", width(FEATURES))}, {"packed_features": "float16"})
 
 
 # Guides: planes at output size, where the network predicts its filters. Channels of ``guides``, for the corners of a

@@ -13,30 +13,31 @@ extern "C" __global__ void __launch_bounds__(256) denoise_pack(View planes, View
     }
 }
 
-// Activations of a level's heads, from channels last in half precision to planes.
-extern "C" __global__ void __launch_bounds__(256) denoise_open(View raw, View heads) {
+// Activations of a level's heads, from channels last to planes, both in half precision.
+extern "C" __global__ void __launch_bounds__(256) denoise_open_half(View raw, View heads) {
     PIXEL(heads.size[3], heads.size[2]);
     const size_t plane = size_t(heads.size[2]) * heads.size[3], at = size_t(y) * heads.size[3] + x;
     const Halves* const from = halves(raw) + at * (raw.size[3] / 8);
-    float* const to = heads.at + at;
+    Half* const to = reinterpret_cast<Half*>(heads.at) + at;
     for (int first = 0; first < heads.size[1]; first += 8) {
         const Halves some = from[first / 8];
 #pragma unroll
         for (int i = 0; i < 8; i++) {
             const int channel = first + i;
             const float logit = from_half(some.at[i]);
-            if (channel < heads.size[1]) to[channel * plane] = channel < KERNEL ? weight_of(logit) : gate_of(logit);
+            if (channel < heads.size[1])
+                to[channel * plane] = to_half(channel < KERNEL ? weight_of(logit) : gate_of(logit));
         }
     }
 }
 
-// Activations of the fine head, from channels last in half precision, four phases a pixel, to planes.
-extern "C" __global__ void __launch_bounds__(256) denoise_open_fine(View raw, View fine) {
+// Activations of the fine head, from channels last, four phases a pixel, to planes, both in half precision.
+extern "C" __global__ void __launch_bounds__(256) denoise_open_fine_half(View raw, View fine) {
     PIXEL(fine.size[3], fine.size[2]);
     const size_t plane = size_t(fine.size[2]) * fine.size[3];
     const size_t pixel = size_t(y / 2) * raw.size[2] + x / 2;
     const Halves* const from = halves(raw) + (4 * pixel + 2 * (y % 2) + x % 2) * (FINE / 8);
-    float* const to = fine.at + size_t(y) * fine.size[3] + x;
+    Half* const to = reinterpret_cast<Half*>(fine.at) + size_t(y) * fine.size[3] + x;
 #pragma unroll
     for (int first = 0; first < FINE; first += 8) {
         const Halves some = from[first / 8];
@@ -44,7 +45,8 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_fine(View raw, Vi
         for (int i = 0; i < 8; i++) {
             const int channel = first + i;
             const float logit = from_half(some.at[i]);
-            to[channel * plane] = channel < BLEND ? weight_of(logit) : channel < MEMORY ? gate_of(logit) : tanhf(logit);
+            to[channel * plane] = to_half(channel < BLEND ? weight_of(logit)
+                                                          : channel < MEMORY ? gate_of(logit) : tanhf(logit));
         }
     }
 }

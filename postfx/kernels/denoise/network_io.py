@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, STEEPEST, kernel
+from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, STEEPEST, in_half, kernel
 from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, vectorised
 
 LANES = 8
@@ -88,6 +88,7 @@ OPEN_FINE = Kernel("denoise_open_fine", ("raw_fine",), ("fine",), open_fine_rows
                    {"raw_fine": (1, "half_hp", "half_wp", FINE_PHASES * FINE),
                     "fine": (1, FINE, "2*half_hp", "2*half_wp")},
                    {"raw_fine": HALF})
+OPEN_HALF, OPEN_FINE_HALF = in_half(OPEN, "heads"), in_half(OPEN_FINE, "fine")
 
 
 ONE, TWO = np.float32(1), np.float32(2)

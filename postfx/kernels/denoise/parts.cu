@@ -20,9 +20,9 @@ __device__ inline float recalled(const float* last, const size_t (&from)[4], int
     return top + (bottom - top) * ty;
 }
 
-extern "C" __global__ void denoise_accumulate_part(View part, View coding, View factor, View past, View moved,
-                                                   View last_part, View fine, View window, View next_part,
-                                                   View part_level) {
+template <class Number>
+__device__ inline void accumulate_part(View part, View coding, View factor, View past, View moved, View last_part,
+                                       View fine, View window, View next_part, View part_level) {
     const int height = part_level.size[1], width = part_level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -39,7 +39,7 @@ extern "C" __global__ void denoise_accumulate_part(View part, View coding, View 
     }
     const float* const divisor = factor.at + 3 * pixel;
     const float count = past.at[4 * pixel + 3], share = 1.0f / (fmaxf(count, 0.0f) + 1.0f);
-    const float alpha = share + (1.0f - share) * fine.at[DISTRUST * plane + here];
+    const float alpha = share + (1.0f - share) * as_float(numbers<Number>(fine)[DISTRUST * plane + here]);
     const bool held = count > 0.0f;
     const float px = held ? fminf(fmaxf(u + moved.at[2 * pixel], 0.0f), float(w - 1)) : 0.0f;
     const float py = held ? fminf(fmaxf(v + moved.at[2 * pixel + 1], 0.0f), float(h - 1)) : 0.0f;
@@ -58,6 +58,18 @@ extern "C" __global__ void denoise_accumulate_part(View part, View coding, View 
     }
 }
 
+extern "C" __global__ void denoise_accumulate_part(View part, View coding, View factor, View past, View moved,
+                                                   View last_part, View fine, View window, View next_part,
+                                                   View part_level) {
+    accumulate_part<float>(part, coding, factor, past, moved, last_part, fine, window, next_part, part_level);
+}
+
+extern "C" __global__ void denoise_accumulate_part_half(View part, View coding, View factor, View past, View moved,
+                                                        View last_part, View fine, View window, View next_part,
+                                                        View part_level) {
+    accumulate_part<Half>(part, coding, factor, past, moved, last_part, fine, window, next_part, part_level);
+}
+
 // Enlarges light of n parts of the picture and blends it with the last outputs, where their pixels are now, all linear:
 // radiance (3 n, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2), past (th, tw, 4), last (n, height, width, 3),
 // params (4,), window (8,), keep, out_rows (out_th,), out_columns (out_tw,) -> light (n, out_th, out_tw, 3).
@@ -66,9 +78,9 @@ __device__ inline float blended_light(float current, float kept, float before, f
     return mixed <= MAX_FLOAT ? fmaxf(mixed, 0.0f) : now;
 }
 
-extern "C" __global__ void denoise_upsample_light(View radiance, View fine, View moved, View past, View last,
-                                                  View params, View window, View keep, View out_rows,
-                                                  View out_columns, View light) {
+template <class Number>
+__device__ inline void upsample_light(View radiance, View fine, View moved, View past, View last, View params,
+                                      View window, View keep, View out_rows, View out_columns, View light) {
     const int height = light.size[1], width = light.size[2];
     PIXEL(width, height);
     const Window part = window_of(window);
@@ -77,7 +89,7 @@ extern "C" __global__ void denoise_upsample_light(View radiance, View fine, View
     View samples = radiance;
     for (int k = 0; k < light.size[0]; k++) {
         samples.at = radiance.at + size_t(3) * k * radiance.size[1] * radiance.size[2];
-        const Enlarged found = enlarged<BY_NOTHING, true>(u, v, part, samples, fine, moved, past, params, keep);
+        const Enlarged found = enlarged<Number, BY_NOTHING, true>(u, v, part, samples, fine, moved, past, params, keep);
         const float* const picture = last.at + size_t(3) * k * part.height * part.width;
         Colour before = {0.0f, 0.0f, 0.0f};
         if (found.kept > 0.0f) before = moved_picture(picture, v, u, part, moved);
@@ -86,6 +98,18 @@ extern "C" __global__ void denoise_upsample_light(View radiance, View fine, View
         to[1] = blended_light(found.colour.g, found.kept, before.g, darken);
         to[2] = blended_light(found.colour.b, found.kept, before.b, darken);
     }
+}
+
+extern "C" __global__ void denoise_upsample_light(View radiance, View fine, View moved, View past, View last,
+                                                  View params, View window, View keep, View out_rows, View out_columns,
+                                                  View light) {
+    upsample_light<float>(radiance, fine, moved, past, last, params, window, keep, out_rows, out_columns, light);
+}
+
+extern "C" __global__ void denoise_upsample_light_half(View radiance, View fine, View moved, View past, View last,
+                                                       View params, View window, View keep, View out_rows,
+                                                       View out_columns, View light) {
+    upsample_light<Half>(radiance, fine, moved, past, last, params, window, keep, out_rows, out_columns, light);
 }
 
 // Parts as parts of the picture: parts (n, H, W, 3), reached (n, h, w) or (n, 1, 1), whole and picture (H, W, 3),

@@ -140,9 +140,15 @@ __device__ inline float size_of(const Four& value) {
     return fabsf(value.x) + fabsf(value.y) + fabsf(value.z) + fabsf(value.w);
 }
 
-extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo, View means,
-                                              View depth, View past, View fine, View params, View window,
-                                              View next_state, View next_depth, View level, View factor) {
+template <class Number>
+__device__ inline Four hidden_four(const Number* first, size_t plane) {
+    return {as_float(first[0]), as_float(first[plane]), as_float(first[2 * plane]), as_float(first[3 * plane])};
+}
+
+template <class Number>
+__device__ inline void accumulate(View colour, View diffuse_albedo, View specular_albedo, View means, View depth,
+                                  View past, View fine, View params, View window, View next_state, View next_depth,
+                                  View level, View factor) {
     const int height = level.size[1], width = level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -161,18 +167,15 @@ extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, 
     }
     const size_t source = size_t(part.top + y) * colour.size[1] + part.left + x;
     const float* rgb = colour.at + 3 * source;
-    const float* head = fine.at + here;
+    const Number* head = numbers<Number>(fine) + here;
     const float exposure = params.at[EXPOSURE], red = rgb[0], green = rgb[1], blue = rgb[2], z = depth.at[source];
-    const float distrust = head[DISTRUST * plane], importance = head[IMPORTANCE * plane];
+    const float distrust = as_float(head[DISTRUST * plane]), importance = as_float(head[IMPORTANCE * plane]);
     const Four before = four(past, pixel);
-    const Four hidden[2] = {{head[MEMORY * plane], head[(MEMORY + 1) * plane], head[(MEMORY + 2) * plane],
-                             head[(MEMORY + 3) * plane]},
-                            {head[(MEMORY + 4) * plane], head[(MEMORY + 5) * plane], head[(MEMORY + 6) * plane],
-                             head[(MEMORY + 7) * plane]}};
+    const Four hidden[2] = {hidden_four(head + MEMORY * plane, plane), hidden_four(head + (MEMORY + 4) * plane, plane)};
     Colour by = demodulation(diffuse_albedo, specular_albedo, part.top + y, part.left + x);
     if (means.size[0] > 1)
         by = doubted(by, means, part.top + y, part.left + x, colour.size[0], colour.size[1], part,
-                     head[PLANE_TRUST * plane]);
+                     as_float(head[PLANE_TRUST * plane]));
     const float share = 1.0f / (fmaxf(before.w, 0.0f) + 1.0f), alpha = share + (1.0f - share) * distrust;
     const float light_r = fminf(clamped(red, 0.0f, MAX_FLOAT) * exposure / by.r, MAX_LIGHT);
     const float light_g = fminf(clamped(green, 0.0f, MAX_FLOAT) * exposure / by.g, MAX_LIGHT);
@@ -201,4 +204,18 @@ extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, 
     to[plane] = whole ? mean.y : g;
     to[2 * plane] = whole ? mean.z : b;
     to[3 * plane] = whole ? importance : 1.0f;
+}
+
+extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo, View means,
+                                              View depth, View past, View fine, View params, View window,
+                                              View next_state, View next_depth, View level, View factor) {
+    accumulate<float>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine, params, window, next_state,
+                      next_depth, level, factor);
+}
+
+extern "C" __global__ void denoise_accumulate_half(View colour, View diffuse_albedo, View specular_albedo, View means,
+                                                   View depth, View past, View fine, View params, View window,
+                                                   View next_state, View next_depth, View level, View factor) {
+    accumulate<Half>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine, params, window, next_state,
+                     next_depth, level, factor);
 }

@@ -32,7 +32,8 @@ extern "C" __global__ void denoise_pool(View finer, View finer_importance, View 
 // The coarser result where the network trusts it more than the level's own colour: coarse (3 n, about hp / 2, about wp / 2),
 // level (3 n, hp, wp), heads (1, 26 or more, hp, wp), rows (hp,) and columns (wp,) of coarse that pixels lie in
 // -> mixed (3 n, hp, wp).
-extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns, View mixed) {
+template <class Number>
+__device__ inline void mix(View coarse, View level, View heads, View rows, View columns, View mixed) {
     const int height = mixed.size[1], width = mixed.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -40,15 +41,24 @@ extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View
     const size_t below = size_t(int(rows.at[y])) * coarse.size[2] + int(columns.at[x]);
     // The full head has the channel elsewhere than the short ones of the coarser levels.
     const size_t channel = heads.size[1] > KERNEL + 1 ? MIX : KERNEL;
-    const float own = heads.at[channel * plane + here];
+    const float own = as_float(numbers<Number>(heads)[channel * plane + here]);
     for (int k = 0; k < mixed.size[0]; k++) {
         const float from = coarse.at[k * below_plane + below];
         mixed.at[k * plane + here] = from + (level.at[k * plane + here] - from) * own;
     }
 }
 
+extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns, View mixed) {
+    mix<float>(coarse, level, heads, rows, columns, mixed);
+}
+
+extern "C" __global__ void denoise_mix_half(View coarse, View level, View heads, View rows, View columns, View mixed) {
+    mix<Half>(coarse, level, heads, rows, columns, mixed);
+}
+
 // The 5x5 kernel of a level: mixed (3 n, hp, wp), heads (1, 25 or more, hp, wp), area (2,) -> filtered (3 n, hp, wp).
-extern "C" __global__ void denoise_filter(View mixed, View heads, View area, View filtered) {
+template <class Number>
+__device__ inline void filter(View mixed, View heads, View area, View filtered) {
     const int height = filtered.size[1], width = filtered.size[2], plane = height * width;
     PIXEL(width, height);
     const int rows = int(area.at[0]), columns = int(area.at[1]), here = y * width + x;
@@ -64,7 +74,7 @@ extern "C" __global__ void denoise_filter(View mixed, View heads, View area, Vie
                 for (int i = 0; i < 5; i++) {
                     const int u = x + i - 2;
                     if (u < 0 || u >= columns) continue;
-                    const float weight = heads.at[(5 * j + i) * plane + here];
+                    const float weight = as_float(numbers<Number>(heads)[(5 * j + i) * plane + here]);
                     const int there = v * width + u;
                     total += weight;
                     sum.r += weight * from[there];
@@ -77,6 +87,14 @@ extern "C" __global__ void denoise_filter(View mixed, View heads, View area, Vie
         to[plane] = sum.g / total;
         to[2 * plane] = sum.b / total;
     }
+}
+
+extern "C" __global__ void denoise_filter(View mixed, View heads, View area, View filtered) {
+    filter<float>(mixed, heads, area, filtered);
+}
+
+extern "C" __global__ void denoise_filter_half(View mixed, View heads, View area, View filtered) {
+    filter<Half>(mixed, heads, area, filtered);
 }
 
 // Filtered colour times reflectance, a border of repeated pixels around it; before that, in `BOTH`, the colour itself.

@@ -76,8 +76,9 @@ class LayerGraph(Graph):
         first, count = layers[0], len(layers)
         if count not in self._layer_tables:
             self._make_layer_tables(count)
-        tables, stacks, accumulates = self._layer_tables[count], self._stacks[count], "part" in first.tensors
-        self._bind(tables, {**tensors, **first.tensors}, self._place(window), self._heads[model])
+        tables, stacks = self._layer_tables[count][self._half[model]], self._stacks[count]
+        accumulates, heads = "part" in first.tensors, self._heads[model]
+        self._bind(tables, {**tensors, **first.tensors, "fine": heads["fine"]}, self._place(window), heads)
         light, end = tensors[f"light {first.name}"], tables["upsample"]
         end["last"] = some_of(first.last, first.place, count)
         end["radiance"] = stacks["radiance"] if accumulates else self._shaded(model)
@@ -121,12 +122,10 @@ class LayerGraph(Graph):
             "level": self._new("level of parts", (3 * count, *self._window.level(0))),
             "radiance": self._new("radiance of parts", (3 * count, rows + 2, columns + 2)),
             "factor": self._new("factors of parts", (count, rows, columns, 3))}
-        tables: Tables = {}
-        self._layer_tables[count] = tables
-        made = {"moved": self._made["moved"], "fine": next(iter(self._heads.values()))["fine"]}
+        tables = self._layer_tables[count] = self._new_tables()
         for name, kernel in (("reflectance", REFLECT), ("accumulate", ACCUMULATE_PART), ("remodulate", REMODULATE),
                              ("upsample", UPSAMPLE_LIGHT)):
-            self._table(tables, name, kernel, **made)
+            self._table(tables, name, kernel, moved=self._made["moved"])
         stacks["filtered"], _ = self._make_pyramid(tables, stacks["level"])
 
 

@@ -14,12 +14,14 @@ from postfx.caching import LRUCache
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import FEATURES, FINE, GUIDES, TRUST_CELL
 from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
-from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
+from postfx.kernels.denoise.features import FEATURE, FEATURE_HALF, GUIDE, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,
+    OPEN_FINE_HALF,
     OPEN_FINE_PRODUCTS,
+    OPEN_HALF,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     OPEN_SOME_PRODUCTS,
@@ -29,9 +31,25 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
     opened_shape,
 )
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, means_size
-from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
+from postfx.kernels.denoise.parts import ACCUMULATE_PART, ACCUMULATE_PART_HALF, UPSAMPLE_LIGHT, UPSAMPLE_LIGHT_HALF
+from postfx.kernels.denoise.prepare import ACCUMULATE, ACCUMULATE_HALF, DILATE, MEANS, means_size
+from postfx.kernels.denoise.pyramid import (
+    FILTER,
+    FILTER_HALF,
+    MIX_HALF,
+    MIX_LEVELS,
+    POOL,
+    REMODULATE,
+    REMODULATE_BOTH,
+)
+from postfx.kernels.denoise.upsample import (
+    UPSAMPLE,
+    UPSAMPLE_GUIDED,
+    UPSAMPLE_GUIDED_HALF,
+    UPSAMPLE_HALF,
+    UPSAMPLE_UNSCALED,
+    UPSAMPLE_UNSCALED_HALF,
+)
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.tiling import LEVELS, Window
 from postfx.runtime import (
@@ -145,7 +163,7 @@ class Network:
                      if name.startswith((CODING, SCALING))}
         known = {**parts_of(seen["features"]), **seen, **heads, **made}
         self._table = ArgumentTable(state, {binding.name: known[binding.name] for binding in state.bindings})
-        packed = [name for name in made if name.startswith((PACKED, STORED))]
+        packed = [name for name in made if name.startswith((PACKED, STORED)) and name not in seen]
         closed = [name for name in made if name.startswith((RAW, PHASED_FINE, PRODUCTS))]
         self._before = [_packer(state, made[name], constants, seen) for name in packed]
         openers = [_openers(state, made[name], constants, heads) for name in closed]
@@ -171,9 +189,9 @@ def _packer(state: PipelineState, packed: Tensor, constants: Mapping[str, Tensor
     return _table(state, kernel, planes=seen[name], coding=constants[f"{CODING}{name}"], stored=packed)
 
 
-def upload(heap: TensorHeap, name: str, array: np.ndarray) -> Tensor:
+def upload(heap: TensorHeap, name: str, array: np.ndarray, dtype: str = "float32") -> Tensor:
     """A tensor that holds an array from now on."""
-    tensor = heap.tensor(name, array.shape)
+    tensor = heap.tensor(name, array.shape, dtype)
     tensor.upload(array)
     return tensor
 
@@ -200,9 +218,10 @@ def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor
     if closed.name == PHASED_FINE:
         return _table(state, OPEN_PHASED, phased_fine=closed, fine=heads["fine"])
     if closed.name == f"{RAW}fine":
-        return _table(state, OPEN_FINE, raw_fine=closed, fine=heads["fine"])
+        return _table(state, OPEN_FINE_HALF if _is_half(state) else OPEN_FINE, raw_fine=closed, fine=heads["fine"])
     if closed.name.startswith(RAW):
-        return _table(state, OPEN, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
+        kernel = OPEN_HALF if _is_half(state) else OPEN
+        return _table(state, kernel, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
     name = closed.name.removeprefix(PRODUCTS)
     head, scaling, (rows, columns) = heads[name], constants[f"{SCALING}{name}"], heads[name].shape[2:]
     if name != "fine":
@@ -230,11 +249,21 @@ PLAIN, GUIDED, UNSCALED = "plain", "guided", "unscaled"
 ENDS = {PLAIN: (REMODULATE, UPSAMPLE), GUIDED: (REMODULATE_BOTH, UPSAMPLE_GUIDED),
         UNSCALED: (REMODULATE_BOTH, UPSAMPLE_UNSCALED)}
 """Kernels that put the reflectance back and enlarge: before, with that of guides, or after, at the render size."""
+IN_HALF = {
+    FEATURE: FEATURE_HALF, ACCUMULATE: ACCUMULATE_HALF, MIX_LEVELS: MIX_HALF, FILTER: FILTER_HALF,
+    UPSAMPLE: UPSAMPLE_HALF, UPSAMPLE_GUIDED: UPSAMPLE_GUIDED_HALF, UPSAMPLE_UNSCALED: UPSAMPLE_UNSCALED_HALF,
+    ACCUMULATE_PART: ACCUMULATE_PART_HALF, UPSAMPLE_LIGHT: UPSAMPLE_LIGHT_HALF}
+"""Kernels that take the place of others on a GPU, beside a network in half precision."""
 MOST_PLACES = 64
 """Windows of one size whose positions stay on the device."""
 
 
-Tables = dict[str, ArgumentTable]
+Tables = dict[bool, dict[str, ArgumentTable]]
+"""Argument tables by name, for networks in half precision on a GPU and for others."""
+
+
+def _is_half(state: PipelineState) -> bool:
+    return f"{RAW}fine" in state.shapes and state.device.gpu is not None
 
 
 class Graph:
@@ -252,14 +281,17 @@ class Graph:
         networks = {model: load_network(device, model, dims) for model in models}
         for state in networks.values():
             check_bindings(state)
-        self._tables: Tables = {}
+        self._half = {model: _is_half(state) for model, state in networks.items()}
+        self._tables = self._new_tables()
         self._places: LRUCache[Window, dict[str, dict[str, Tensor]]] = LRUCache(MOST_PLACES)
         between = cache(self._new)  # of several networks only one runs in a frame
         self._heads = {model: self._heads_of(state, between) for model, state in networks.items()}
         self._doubting = {model for model in models if doubts_planes(model)}
         self._ends = {model: self._end_of(model) for model in models}
         self._make_tensors(networks[models[0]])
-        self._make_tables(self._heads[models[0]]["fine"])
+        self._seen |= {name: between(name, state.shapes[name], "float16") for model, state in networks.items()
+                       for name in FEATURE_HALF.writes if self._half[model] and name in state.shapes}
+        self._make_tables()
         self._networks = {model: Network(state, self._seen, self._heads[model], between)
                           for model, state in networks.items()}
 
@@ -279,23 +311,24 @@ class Graph:
         end, doubts = self._ends[model], model in self._doubting
         known = {"warped": warped, "keep": self._keep(tensors, masked), "fine": self._heads[model]["fine"],
                  "means": self._means if doubts else self._no_means}
-        self._bind(self._tables, {**tensors, **known}, self._place(window), self._heads[model])
+        tables = self._tables[self._half[model]]
+        self._bind(tables, {**tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            self._run(encoder, "dilate", *("means",) * doubts)
+            self._run(encoder, tables, "dilate", *("means",) * doubts)
             for names in (("history",) * moves + ("keep",) * masked, self._looks):
                 encoder.barrier()
-                self._run(encoder, *names)
+                self._run(encoder, tables, *names)
         self._networks[model].encode(commands)
         with commands.compute_encoder("filter") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             for i, name in enumerate((*self._filter_order, f"remodulate {end}")):
                 if i:
                     encoder.barrier()
-                self._run(encoder, name)
+                self._run(encoder, tables, name)
         with commands.compute_encoder("upsample") as encoder:
             encoder.barrier(after="compute", before="compute")
-            self._run(encoder, f"upsample {end}")
+            self._run(encoder, tables, f"upsample {end}")
 
     def _keep(self, tensors: Mapping[str, Tensor], masked: bool) -> Tensor:
         """How much of the history counts, pixel by pixel or in one number."""
@@ -312,7 +345,8 @@ class Graph:
     def _heads_of(self, network: PipelineState, between: Callable[..., Tensor]) -> dict[str, Tensor]:
         """The heads that the filters read, by name; for levels that the network does not compute, their constants."""
         shapes, products = heads_of(network), f"{PRODUCTS}fine"
-        heads = {name: between(name, shape) for name, shape in shapes.items()}
+        dtype = "float16" if _is_half(network) else "float32"
+        heads = {name: between(name, shape, dtype) for name, shape in shapes.items()}
         if products in network.shapes and self._device.runs_rows:
             behind = SOME * math.prod(shapes["fine"][2:])
             both = between("fine and its products", (behind + math.prod(shapes["fine"]),))
@@ -320,7 +354,7 @@ class Graph:
                       products: both.view(products, network.shapes[products], behind, "int32")}
         for name, values in alike_heads(network).items():
             size = (1, values.shape[1], *self._window.level(int(name[-1])))
-            heads[name] = upload(self._device.heap, name, np.broadcast_to(values, size))
+            heads[name] = upload(self._device.heap, name, np.broadcast_to(values, size).astype(dtype), dtype)
         return heads
 
     def _make_tensors(self, network: PipelineState) -> None:
@@ -337,14 +371,17 @@ class Graph:
             self._made["keep"] = self._new("keep", (rows, columns, 1))
         self._seen = {name: self._new(name, shape) for name, shape in seen_by(network).items()}
 
-    def _make_tables(self, fine: Tensor) -> None:
+    def _new_tables(self) -> Tables:
+        return {half: {} for half in self._half.values()}
+
+    def _make_tables(self) -> None:
         level = self._window.level
         accumulated = self._new("level 0", (4, *level(0)))
         self._importance = [accumulated.view("importance 0", (1, *level(0)), 3 * math.prod(level(0)))]
         self._importance += [self._new(f"importance {i}", (1, *level(i))) for i in range(1, LEVELS + 1)]
         self._radiance: dict[str, Tensor] = {}
         filtered, self._filter_order = self._make_pyramid(self._tables, accumulated.view("light 0", (3, *level(0))))
-        made = self._made | self._seen | {"fine": fine, "level": accumulated, "filtered": filtered}
+        made = self._made | self._seen | {"level": accumulated, "filtered": filtered}
         self._looks = ("features", "guides", "trust") if self._guided else ("features",)
         for name, kernel in (("dilate", DILATE), ("history", HISTORY),
                              ("features", FEATURE), ("accumulate", ACCUMULATE)):
@@ -384,12 +421,13 @@ class Graph:
         return filtered[0], order
 
     def _table(self, tables: Tables, name: str, kernel: Kernel, **tensors: Tensor) -> None:
-        """Make the argument table of a kernel, with the tensors that the kernel names."""
-        table = ArgumentTable(self._device.compute_state(kernel))
-        for binding in kernel.reads + kernel.writes:
-            if binding in tensors:
-                table[binding] = tensors[binding]
-        tables[name] = table
+        """Make the argument tables of a kernel, with the tensors that the kernel names."""
+        for half, named in tables.items():
+            taken = IN_HALF.get(kernel, kernel) if half else kernel
+            named[name] = ArgumentTable(self._device.compute_state(taken))
+            for binding in taken.reads + taken.writes:
+                if binding in tensors:
+                    named[name][binding] = tensors[binding]
 
     def _place(self, window: Window) -> dict[str, dict[str, Tensor]]:
         """Tensors that describe a window to the kernels, by binding: for each table of the pyramid, and under '' for
@@ -409,8 +447,7 @@ class Graph:
                 if binding.name in known:
                     table[binding.name] = known[binding.name]
 
-    def _run(self, encoder: ComputeEncoder, *names: str, tables: Mapping[str, ArgumentTable] | None = None) -> None:
-        tables = self._tables if tables is None else tables
+    def _run(self, encoder: ComputeEncoder, tables: Mapping[str, ArgumentTable], *names: str) -> None:
         for name in names:
             encoder.dispatch(tables[name].state, tables[name])
 
