@@ -26,6 +26,7 @@ from postfx.errors import DeviceError, ModelError
 from postfx.frame import LOG
 from postfx.kernels import Blocks, Kernel
 from postfx.kernels import denoise as layout
+from postfx.runtime.convolutions import THREADS, Launch, Options
 from postfx.runtime.memory import CUDA, address
 from postfx.version import pip_install
 
@@ -160,7 +161,7 @@ class CudaMemory:
         Raises ModelError when it cannot be compiled.
         """
         self._enter()
-        kernel = _compile(name, source, self._device.arch)
+        kernel = _compile(name, read_source(source), self._device.arch, source.name)
         handle, shared = driver().CUfunction(int(kernel.handle)), 0
         rows, columns = extent
         block = PIXELS if columns else ONE_BLOCK
@@ -168,11 +169,41 @@ class CudaMemory:
         if blocks:
             block, grid = (blocks.threads, 1), (1, min(-(-rows // blocks.rows), blocks.most))
             handle, shared = _allow_shared(kernel.handle, blocks.shared, self.place[1])
-        views = [View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4])) for tensor in tensors]
-        arguments = (ctypes.c_void_p * len(views))(*map(ctypes.addressof, views))
+        return self._launcher(kernel, handle, grid, block, shared, [_view(tensor) for tensor in tensors])
+
+    @property
+    def convolves(self) -> bool:
+        """Whether it has what the kernels of `postfx.runtime.convolutions` need: they were written for GPUs of compute
+        capability 8.0 and newer."""
+        return bool(self._device.compute_capability >= (8, 0))
+
+    @property
+    def most_shared(self) -> int:
+        """Bytes of shared memory that a block of threads may have."""
+        return _most_shared(self.place[1])
+
+    def convolution(self, launch: Launch, kernels: str, tensors: Sequence[Tensor | None],
+                    options: Options) -> Callable[[], None]:
+        """A function that puts a network's layer on the stream.
+
+        Args:
+            kernels: source of the kernels of all layers.
+            tensors: by the order of the kernel's arguments, None for those that this layer has not.
+
+        Raises ModelError when they cannot be compiled.
+        """
+        self._enter()
+        kernel = _compile(launch.name, convolution_source() + kernels, self._device.arch, "convolution.cuh")
+        handle, shared = _allow_shared(kernel.handle, launch.shared, self.place[1])
+        views = [View() if tensor is None else _view(tensor) for tensor in tensors]
+        return self._launcher(kernel, handle, (launch.blocks, 1), (THREADS, 1), shared, [*views, options])
+
+    def _launcher(self, kernel: Any, handle: Any, grid: tuple[int, int], block: tuple[int, int], shared: int,
+                  given: Sequence[ctypes.Structure]) -> Callable[[], None]:
+        arguments = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
         launch, stream = driver().cuLaunchKernel, self.stream
 
-        def run(held: tuple[object, ...] = (kernel, views)) -> None:  # keeps the arguments' memory alive
+        def run(held: tuple[object, ...] = (kernel, given)) -> None:  # keeps the arguments' memory alive
             self._enter()
             check_result(launch(handle, *grid, 1, *block, 1, shared, stream, ctypes.addressof(arguments), 0))
 
@@ -195,32 +226,39 @@ class CudaMemory:
 def _allow_shared(kernel: Any, wanted: int, index: int) -> tuple[Any, int]:
     """A kernel's function in the current context, and how many bytes of dynamic shared memory it may have now: those
     that are wanted, or as many as the GPU has."""
-    attributes, facts = driver().CUfunction_attribute, driver().CUdevice_attribute
-    most = facts.CU_DEVICE_ATTRIBUTE_MAX_SHARED_MEMORY_PER_BLOCK_OPTIN
+    attributes = driver().CUfunction_attribute
     is_function = isinstance(kernel, driver().CUfunction)
     function = kernel if is_function else check_result(driver().cuKernelGetFunction(int(kernel)))
     fixed = check_result(driver().cuFuncGetAttribute(attributes.CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES, function))
-    device = check_result(driver().cuDeviceGet(index))
-    shared = min(wanted, int(check_result(driver().cuDeviceGetAttribute(most, device))) - int(fixed))
+    shared = min(wanted, _most_shared(index) - int(fixed))
     allowed = attributes.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
     check_result(driver().cuFuncSetAttribute(function, allowed, shared))
     return function, shared
 
 
+def _most_shared(index: int) -> int:
+    most = driver().CUdevice_attribute.CU_DEVICE_ATTRIBUTE_MAX_SHARED_MEMORY_PER_BLOCK_OPTIN
+    return int(check_result(driver().cuDeviceGetAttribute(most, check_result(driver().cuDeviceGet(index)))))
+
+
+def _view(tensor: Tensor) -> View:
+    return View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4]))
+
+
 @cache
-def _compile(name: str, source: Path, arch: str) -> Any:
+def _compile(name: str, source: str, arch: str, file: str) -> Any:
     try:
         return _compile_family(source, arch).get_kernel(name)
     except Exception as error:
-        raise ModelError(f"kernel '{name}' of {source} cannot be compiled for sm_{arch}: {error}") from error
+        raise ModelError(f"kernel '{name}' of {file} cannot be compiled for sm_{arch}: {error}") from error
 
 
 @cache
-def _compile_family(path: Path, arch: str) -> Any:
-    """All kernels of a file, compiled together to save time."""
+def _compile_family(source: str, arch: str) -> Any:
+    """All kernels of a source, compiled together to save time."""
     from cuda.core import Program, ProgramOptions
 
-    return Program(read_source(path), "c++", ProgramOptions(arch=f"sm_{arch}", std="c++17")).compile("cubin")
+    return Program(source, "c++", ProgramOptions(arch=f"sm_{arch}", std="c++17")).compile("cubin")
 
 
 MOST_BESIDE = 4
@@ -396,6 +434,7 @@ def find_source(kernel: Kernel) -> Path | None:
     return _families(kernel.home or SOURCES).get(kernel.name)
 
 
+@cache
 def read_source(family: Path) -> str:
     """The source that is compiled for a file of kernels: the declaration of arguments, for our own kernels also the
     constants and the code that all families share, and the file."""
@@ -404,6 +443,14 @@ def read_source(family: Path) -> str:
         return view + own
     source = (SHARED / "common.cuh").read_text() + own
     return view + print_constants(constants_of(family, source)) + source
+
+
+@cache
+def convolution_source() -> str:
+    """What is compiled before the kernels of a network's layers."""
+    source = "".join((SOURCES / name).read_text() for name in ("common.cuh", "convolution.cuh"))
+    constants = print_constants(constants_of(SOURCES / "denoise" / "network_io.cu", source))
+    return (SOURCES / "view.cuh").read_text() + constants + source
 
 
 def constants_of(family: Path, source: str) -> dict[str, Any]:

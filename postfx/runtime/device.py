@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from postfx.errors import BindingError, DeviceError, ModelError, PostfxError
+from postfx.frame import LOG
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
+from postfx.runtime.convolutions import Head, Unfit
 from postfx.runtime.cuda import CudaMemory, find_source
 from postfx.runtime.encoders import Recordings
 from postfx.runtime.hazards import Hazards
@@ -56,6 +58,8 @@ class Device:
         provider: an execution provider of ONNX Runtime for the networks, as 'OpenVINO,device_type=CPU': its name,
             options of its own, and library=, a plug-in's file or package. Kernels and tensors stay on the CPU, and so
             do nodes that it cannot run; 'auto' then means the CPU.
+        convolutions: on a GPU, run networks of convolutions in half precision as kernels of our own instead of by ONNX
+            Runtime. They agree when emulated, but have not been timed on a GPU.
 
     Attributes:
         models: name -> SHA-256 of the networks that are loaded, or may be for frames of another size.
@@ -74,10 +78,11 @@ class Device:
         memory: str | int | None = None,
         graphs: bool = True,
         provider: str | Provider | None = None,
+        convolutions: bool = False,
     ) -> None:
         if threads is not None and threads < 1:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
-        self._arguments = name, threads, compiled_kernels, kernels, memory, graphs, provider
+        self._arguments = name, threads, compiled_kernels, kernels, memory, graphs, provider, convolutions
         self.threads = threads or usable_cores()
         self.scratch = None if memory is None else Scratch(memory)
         name = "cpu" if (self.scratch or provider) and name == "auto" else name
@@ -87,7 +92,7 @@ class Device:
         if self.scratch:
             self.memory = _within(self.scratch, self.memory, name)
         self.name = name if name != "auto" else self.placement.memory
-        self._compiled = compiled_kernels
+        self._compiled, self._convolutions = compiled_kernels, convolutions
         self._kernels = kernels
         self._compute_states: dict[Kernel, State] = {}
         self.models: dict[str, str] = {}
@@ -185,7 +190,7 @@ class Device:
 
     def pipeline_state(
         self, library: Library, name: str, dims: Dims | None = None,
-        in_place: Mapping[str, str] | None = None, threads: int | None = None,
+        in_place: Mapping[str, str] | None = None, threads: int | None = None, heads: Mapping[str, Head] | None = None,
     ) -> PipelineState:
         """A network of a library, with its free dimensions fixed.
 
@@ -195,6 +200,7 @@ class Device:
                 name.
             threads: how many of the device's threads it takes, default all of them. Commands that no barrier orders and
                 that take fewer run side by side; on a GPU, each on one of a few streams, unless it is `in_place`.
+            heads: outputs that become others where our own kernels run the network. The state's bindings tell.
 
         Raises ModelError when the model is missing, damaged or cannot run here, a dimension is left free, or two
         bindings cannot be one.
@@ -220,7 +226,13 @@ class Device:
                 raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' free: dims were "
                                  f"{_text_dims(fixed)}")
         self.name_model(library, name)
-        return PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken)
+        state = PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken)
+        if self._convolutions and self.gpu and self.gpu.convolves and not (state.narrow or in_place):
+            try:
+                state.convolve(content, self.gpu, heads or {})
+            except Unfit as reason:
+                LOG.debug("network '%s' runs by ONNX Runtime: %s", name, reason)
+        return state
 
     def name_model(self, library: Library, name: str) -> None:
         """Add a network to `models` before it is loaded, because it may be needed later."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from postfx.errors import BindingError, ModelError
 from postfx.kernels.native import bind_rows, compile_rows
+from postfx.runtime.convolutions import Convolutions, Gpu, Head, give_heads, read_layers
 from postfx.runtime.session import Session
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 from postfx.runtime.threads import Band, Helpers
@@ -122,9 +123,23 @@ class PipelineState:
         self.shapes = {value.name: value.fixed for value in (*session.inputs, *session.outputs)}
         self.constants = session.constants(constants)
         self._session = session
+        self._convolutions: Convolutions | None = None
+
+    def convolve(self, content: bytes, gpu: Gpu, heads: Mapping[str, Head]) -> None:
+        """Run as our own kernels from now on; `heads` are outputs to give as planes then.
+
+        Raises Unfit if the network is not made of layers that they compute.
+        """
+        layers = read_layers(content, self.model.parent)
+        shapes, names = give_heads(layers, self.shapes, heads)
+        self._convolutions, self.shapes = Convolutions(layers, self.device, gpu, shapes), shapes
+        self.bindings = tuple(binding._replace(name=name, shape=shapes[name]) for binding in self.bindings
+                              for name in [names.get(binding.name, binding.name)])
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that runs the network on bound tensors."""
+        if self._convolutions is not None:
+            return self._convolutions.bind({b.name: tensor for b, tensor in zip(self.bindings, tensors, strict=True)})
         return _bind_session(self._session, self.bindings, tensors, self._in_place)
 
 

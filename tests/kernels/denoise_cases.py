@@ -15,9 +15,7 @@ from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS,
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,
-    OPEN_FINE_HALF,
     OPEN_FINE_PRODUCTS,
-    OPEN_HALF,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     PACK,
@@ -30,7 +28,6 @@ from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, mea
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
-from postfx.passes.denoise.network import IN_HALF
 from postfx.passes.denoise.tiling import Sizes, Window
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.states import parse
@@ -48,8 +45,6 @@ KERNELS = (
     STORE_RINGED,
     REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, GATHER, CORRECT, DECODE, DECODE_ONE,
 )
-HALVES = (OPEN_HALF, OPEN_FINE_HALF, *IN_HALF.values())
-"""Kernels that only GPUs run."""
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "part", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth",

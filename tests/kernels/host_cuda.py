@@ -184,15 +184,20 @@ def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
 @cache
 def _library(family: Path) -> ctypes.CDLL:
     """For each kernel of a family, a function (columns, rows, threads, bytes of shared memory, views ...) that calls it
-    for every pixel, or for every block.
+    for every pixel, or for every block."""
+    source = SHIM + read_source(family)
+    source += "".join(_loop(name, views.count("View")) for name, views in KERNEL.findall(source))
+    return compile_source(source, family.stem)
+
+
+def compile_source(source: str, stem: str) -> ctypes.CDLL:
+    """The library of a C++ source.
 
     Compiled once for all processes: what is compiled lies beside the compiled kernels, by a digest of its source.
     """
-    source = SHIM + read_source(family)
-    source += "".join(_loop(name, views.count("View")) for name, views in KERNEL.findall(source))
     digest = hashlib.sha256(" ".join((source, COMPILER, *OPTIONS)).encode()).hexdigest()[:32]
     with TemporaryDirectory(dir=private_folder("tests")) as folder:
-        library, made = Path(folder).parent / f"{family.stem}-{digest}.so", Path(folder) / "made.so"
+        library, made = Path(folder).parent / f"{stem}-{digest}.so", Path(folder) / "made.so"
         if not library.exists():
             (Path(folder) / "source.cpp").write_text(source)
             subprocess.run([COMPILER, *OPTIONS, Path(folder) / "source.cpp", "-o", made], check=True)

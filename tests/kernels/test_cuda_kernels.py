@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from postfx.kernels import Kernel
+from postfx.kernels.denoise import IN_HALF
 from postfx.kernels.denoise.output import DETAIL, JUDGE, TILE
 from postfx.runtime import Device
 from postfx.runtime.cuda import find_source
 from tests.kernels import host_cuda, tonemap_cases
-from tests.kernels.denoise_cases import HALVES, KERNELS, arguments, element_type, in_frame, run, runs_of, shape
+from tests.kernels.denoise_cases import KERNELS, arguments, element_type, in_frame, run, runs_of, shape
 from tests.kernels.test_denoise_kernels import assert_same
 
 pytestmark = pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
 
-WRITTEN = [*(kernel for kernel in KERNELS if find_source(kernel)), *HALVES]
+WRITTEN = [*(kernel for kernel in KERNELS if find_source(kernel)), *IN_HALF.values()]
 
 
 @pytest.fixture(scope="module")

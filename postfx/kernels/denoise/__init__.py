@@ -110,12 +110,16 @@ def kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...], rows: Cal
     return Kernel(f"denoise_{name}", reads, writes, rows, rows_of, {key: named[key] for key in reads + writes})
 
 
-def in_half(kernel: Kernel, *names: str) -> Kernel:
-    """The kernel for a GPU beside a network in half precision, where these bindings are in it, too: they are most of
-    what such a kernel reads. The rows say what it computes; no device runs them."""
+IN_HALF: dict[Kernel, Kernel] = {}
+"""Kernels that take the place of others on a GPU, beside a network in half precision."""
+
+
+def in_half(kernel: Kernel, *names: str) -> None:
+    """Add the kernel to `IN_HALF` with these bindings in half precision, too: they are most of what it reads or writes.
+    The rows say what it computes; no device runs them."""
     def rows(y0: int, y1: int, *tensors: np.ndarray) -> None:
         count = len(kernel.reads)
         kernel.rows(y0, y1, *(tensor.astype(np.float32) for tensor in tensors[:count]), *tensors[count:])
 
     types = dict(kernel.types) | dict.fromkeys(names, "float16")
-    return replace(kernel, name=f"{kernel.name}_half", rows=rows, types=types)
+    IN_HALF[kernel] = replace(kernel, name=f"{kernel.name}_half", rows=rows, types=types)

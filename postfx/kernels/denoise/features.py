@@ -20,6 +20,7 @@ from postfx.kernels.denoise import (
     GUIDES,
     HEIGHT,
     HIDDEN,
+    IN_HALF,
     JITTER_X,
     JITTER_Y,
     LEFT,
@@ -258,10 +259,10 @@ def packed_feature_rows(y0: int, y1: int, *tensors: np.ndarray) -> None:
     pack_rows(y0, y1, features, packed)
 
 
-FEATURE_HALF = Kernel(f"{FEATURE.name}_half", FEATURE.reads, ("past", "packed_features"), packed_feature_rows,
-                      ("packed_features", 1),
-                      {name: shape for name, shape in FEATURE.shapes.items() if name != "features"}
-                      | {"packed_features": (1, "hp", "wp", width(FEATURES))}, {"packed_features": "float16"})
+IN_HALF[FEATURE] = Kernel(
+    f"{FEATURE.name}_half", FEATURE.reads, ("past", "packed_features"), packed_feature_rows, ("packed_features", 1),
+    {name: shape for name, shape in FEATURE.shapes.items() if name != "features"}
+    | {"packed_features": (1, "hp", "wp", width(FEATURES))}, {"packed_features": "float16"})
 
 
 # Guides: planes at output size, where the network predicts its filters. Channels of ``guides``, for the corners of a

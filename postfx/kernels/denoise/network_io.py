@@ -88,7 +88,8 @@ OPEN_FINE = Kernel("denoise_open_fine", ("raw_fine",), ("fine",), open_fine_rows
                    {"raw_fine": (1, "half_hp", "half_wp", FINE_PHASES * FINE),
                     "fine": (1, FINE, "2*half_hp", "2*half_wp")},
                    {"raw_fine": HALF})
-OPEN_HALF, OPEN_FINE_HALF = in_half(OPEN, "heads"), in_half(OPEN_FINE, "fine")
+in_half(OPEN, "heads")
+in_half(OPEN_FINE, "fine")
 
 
 ONE, TWO = np.float32(1), np.float32(2)

@@ -461,7 +461,8 @@ UPSAMPLE_LIGHT = kernel("upsample_light", ("radiance", "fine", "moved", "past", 
                                            "out_rows", "out_columns"), ("light",), light_rows, ("light", 1),
                         radiance=("3*parts", "padded_h", "padded_w"), last=("parts", "height", "width", 3),
                         light=("parts", "out_th", "out_tw", 3))
-ACCUMULATE_PART_HALF, UPSAMPLE_LIGHT_HALF = in_half(ACCUMULATE_PART, "fine"), in_half(UPSAMPLE_LIGHT, "fine")
+in_half(ACCUMULATE_PART, "fine")
+in_half(UPSAMPLE_LIGHT, "fine")
 BALANCE = kernel("balance", ("parts", "reached", "whole", "picture", "complete"), ("balanced",), balance_rows,
                  ("balanced", 1), parts=STACK, reached=("parts", "reached_h", "reached_w"), whole=IMAGE, picture=IMAGE,
                  complete=(1,), balanced=STACK)

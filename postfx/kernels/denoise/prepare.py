@@ -226,7 +226,7 @@ DILATE = kernel("dilate", ("motion", "depth", "part_rows", "part_columns"), ("mo
 MEANS = kernel("means", (*REFLECTANCE, "part_rows", "part_columns"), ("means",), mean_rows, ("means", 0))
 ACCUMULATE = kernel("accumulate", ("colour", *REFLECTANCE, "means", "depth", "past", "fine", "params", "window"),
                     ("next_state", "next_depth", "level", "factor"), accumulate_rows, ("level", 1))
-ACCUMULATE_HALF = in_half(ACCUMULATE, "fine")
+in_half(ACCUMULATE, "fine")
 
 
 def means_size(rows: int, columns: int) -> tuple[int, int]:

@@ -191,7 +191,8 @@ MIX_LEVELS = kernel("mix", ("coarse", "level", "heads", "coarse_rows", "coarse_c
                     ("mixed", 1), level=PLANAR, mixed=PLANAR)
 FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1), mixed=PLANAR,
                 filtered=PLANAR)
-MIX_HALF, FILTER_HALF = in_half(MIX_LEVELS, "heads"), in_half(FILTER, "heads")
+in_half(MIX_LEVELS, "heads")
+in_half(FILTER, "heads")
 REMODULATE = kernel("remodulate", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),
                     remodulate_rows, ("radiance", 1))
 REMODULATE_BOTH = kernel("remodulate_both", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),

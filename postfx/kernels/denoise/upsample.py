@@ -439,5 +439,5 @@ UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "trust"
                          guided_rows, ("output", 0), radiance=BOTH)
 UPSAMPLE_UNSCALED = kernel("upsample_unscaled", (*READS, "factor", "params", "window", "keep"), WRITES, unscaled_rows,
                            ("output", 0), radiance=BOTH)
-UPSAMPLE_HALF, UPSAMPLE_GUIDED_HALF, UPSAMPLE_UNSCALED_HALF = (
-    in_half(kernel, "fine") for kernel in (UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED))
+for one in (UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED):
+    in_half(one, "fine")

@@ -7,10 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from postfx.errors import ModelError, PassOptionError
+from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY
 from postfx.passes.denoise.tiling import LEVELS
 from postfx.runtime import Device, Library, PipelineState
+from postfx.runtime.convolutions import Head
 
 PASS = "denoise_upscale"
+HEADS = {"raw_fine": Head("fine", FINE, BLEND, MEMORY, side=2)} | {
+    f"raw_level{level}": Head(f"level{level}", KERNEL + 1, KERNEL, KERNEL + 1) for level in range(1, LEVELS + 1)}
+"""Outputs that a GPU gives after their activations: weights of filters, shares, and states."""
 EXACT, FILE = ".fp32", ".onnx"
 """Suffixes of a tag: for the network as trained, in float32, and for one in a file."""
 GUIDED, UNSCALED = ".guides", ".1x"
@@ -146,7 +151,7 @@ def _grid(outputs: Mapping[str, Mapping[str, Any]]) -> int:
 def load_network(device: Device, model: str, dims: Mapping[str, int]) -> PipelineState:
     """A model, ready for the given sizes of its free dimensions."""
     library, name = find_model(model)
-    return device.pipeline_state(library, name, dims)
+    return device.pipeline_state(library, name, dims, heads=HEADS)
 
 
 def name_models(device: Device, models: Iterable[str]) -> None:

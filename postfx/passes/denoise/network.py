@@ -12,16 +12,14 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import FEATURES, FINE, GUIDES, TRUST_CELL
+from postfx.kernels.denoise import FEATURES, FINE, GUIDES, IN_HALF, TRUST_CELL
 from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
-from postfx.kernels.denoise.features import FEATURE, FEATURE_HALF, GUIDE, TRUST
+from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP
 from postfx.kernels.denoise.network_io import (
     OPEN,
     OPEN_FINE,
-    OPEN_FINE_HALF,
     OPEN_FINE_PRODUCTS,
-    OPEN_HALF,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     OPEN_SOME_PRODUCTS,
@@ -31,25 +29,9 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
     opened_shape,
 )
-from postfx.kernels.denoise.parts import ACCUMULATE_PART, ACCUMULATE_PART_HALF, UPSAMPLE_LIGHT, UPSAMPLE_LIGHT_HALF
-from postfx.kernels.denoise.prepare import ACCUMULATE, ACCUMULATE_HALF, DILATE, MEANS, means_size
-from postfx.kernels.denoise.pyramid import (
-    FILTER,
-    FILTER_HALF,
-    MIX_HALF,
-    MIX_LEVELS,
-    POOL,
-    REMODULATE,
-    REMODULATE_BOTH,
-)
-from postfx.kernels.denoise.upsample import (
-    UPSAMPLE,
-    UPSAMPLE_GUIDED,
-    UPSAMPLE_GUIDED_HALF,
-    UPSAMPLE_HALF,
-    UPSAMPLE_UNSCALED,
-    UPSAMPLE_UNSCALED_HALF,
-)
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, means_size
+from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.tiling import LEVELS, Window
 from postfx.runtime import (
@@ -218,10 +200,9 @@ def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor
     if closed.name == PHASED_FINE:
         return _table(state, OPEN_PHASED, phased_fine=closed, fine=heads["fine"])
     if closed.name == f"{RAW}fine":
-        return _table(state, OPEN_FINE_HALF if _is_half(state) else OPEN_FINE, raw_fine=closed, fine=heads["fine"])
+        return _table(state, OPEN_FINE, raw_fine=closed, fine=heads["fine"])
     if closed.name.startswith(RAW):
-        kernel = OPEN_HALF if _is_half(state) else OPEN
-        return _table(state, kernel, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
+        return _table(state, OPEN, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
     name = closed.name.removeprefix(PRODUCTS)
     head, scaling, (rows, columns) = heads[name], constants[f"{SCALING}{name}"], heads[name].shape[2:]
     if name != "fine":
@@ -232,7 +213,15 @@ def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor
 
 
 def _table(state: PipelineState, kernel: Kernel, **tensors: Tensor) -> ArgumentTable:
-    return ArgumentTable(state.device.compute_state(kernel), tensors)
+    return ArgumentTable(state.device.compute_state(_kernel_for(kernel, _is_half(state))), tensors)
+
+
+def _is_half(state: PipelineState) -> bool:
+    return f"{PACKED}features" in state.shapes and state.device.gpu is not None
+
+
+def _kernel_for(kernel: Kernel, half: bool) -> Kernel:
+    return IN_HALF.get(kernel, kernel) if half else kernel
 
 
 def _dispatch(commands: CommandBuffer, label: str, steps: list[list[ArgumentTable]], after: tuple[str, ...]) -> None:
@@ -249,21 +238,12 @@ PLAIN, GUIDED, UNSCALED = "plain", "guided", "unscaled"
 ENDS = {PLAIN: (REMODULATE, UPSAMPLE), GUIDED: (REMODULATE_BOTH, UPSAMPLE_GUIDED),
         UNSCALED: (REMODULATE_BOTH, UPSAMPLE_UNSCALED)}
 """Kernels that put the reflectance back and enlarge: before, with that of guides, or after, at the render size."""
-IN_HALF = {
-    FEATURE: FEATURE_HALF, ACCUMULATE: ACCUMULATE_HALF, MIX_LEVELS: MIX_HALF, FILTER: FILTER_HALF,
-    UPSAMPLE: UPSAMPLE_HALF, UPSAMPLE_GUIDED: UPSAMPLE_GUIDED_HALF, UPSAMPLE_UNSCALED: UPSAMPLE_UNSCALED_HALF,
-    ACCUMULATE_PART: ACCUMULATE_PART_HALF, UPSAMPLE_LIGHT: UPSAMPLE_LIGHT_HALF}
-"""Kernels that take the place of others on a GPU, beside a network in half precision."""
 MOST_PLACES = 64
 """Windows of one size whose positions stay on the device."""
 
 
 Tables = dict[bool, dict[str, ArgumentTable]]
 """Argument tables by name, for networks in half precision on a GPU and for others."""
-
-
-def _is_half(state: PipelineState) -> bool:
-    return f"{RAW}fine" in state.shapes and state.device.gpu is not None
 
 
 class Graph:
@@ -290,7 +270,7 @@ class Graph:
         self._ends = {model: self._end_of(model) for model in models}
         self._make_tensors(networks[models[0]])
         self._seen |= {name: between(name, state.shapes[name], "float16") for model, state in networks.items()
-                       for name in FEATURE_HALF.writes if self._half[model] and name in state.shapes}
+                       for name in IN_HALF[FEATURE].writes if self._half[model] and name in state.shapes}
         self._make_tables()
         self._networks = {model: Network(state, self._seen, self._heads[model], between)
                           for model, state in networks.items()}
@@ -423,7 +403,7 @@ class Graph:
     def _table(self, tables: Tables, name: str, kernel: Kernel, **tensors: Tensor) -> None:
         """Make the argument tables of a kernel, with the tensors that the kernel names."""
         for half, named in tables.items():
-            taken = IN_HALF.get(kernel, kernel) if half else kernel
+            taken = _kernel_for(kernel, half)
             named[name] = ArgumentTable(self._device.compute_state(taken))
             for binding in taken.reads + taken.writes:
                 if binding in tensors:

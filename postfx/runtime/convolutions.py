@@ -1,0 +1,418 @@
+"""Networks of convolutions in half precision as a list of our own CUDA kernels, in place of ONNX Runtime.
+
+ONNX Runtime runs such a network as one library call a node, with copies between layouts. Here a convolution is one
+kernel (postfx/kernels/convolution.cuh) with all that follows it: bias, ReLU, a constant, the largest of 2x2 pixels.
+What is enlarged and added comes with its input. Two that read the same may be one kernel: the heads of a level, and
+what the next finer level gets.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+
+from postfx.runtime.model_file import ModelFile, Node, Weights, parse_model
+
+if TYPE_CHECKING:
+    from postfx.runtime.tensor import Tensor, TensorDevice
+
+SQUARE, STEP, AHEAD, THREADS = 8, 32, 3, 256
+"""As in the kernels: pixels along a side of a square, channels of a step, steps that are held, threads of a block."""
+TILES = (160, 128, 96, 64, 32)
+"""Channels that a block of threads can make."""
+FEW = 110
+"""Blocks of threads that a GPU can hold at once; if there are fewer, they are made smaller."""
+ARGUMENTS = ("input", "coarse", "weights", "bias", "added", "output", "second")
+"""Tensors of every kernel."""
+HALF = np.dtype(np.float16)
+_FLOAT, _FLOAT16 = 1, 10
+_NEAREST = {"mode": "nearest", "nearest_mode": "floor", "coordinate_transformation_mode": "asymmetric"}
+
+
+class Head(NamedTuple):
+    """How an output is given after its activations, as planes in half precision.
+
+    Attributes:
+        name: of the output that it becomes.
+        planes: how many there are, of all channels of a pixel or of each part.
+        shares, states: the first planes of these, behind the weights of filters.
+        side: pixels of a side that a pixel of the network stands for, 1 or 2; then its four parts are one after the
+            other, top left first.
+    """
+
+    name: str
+    planes: int
+    shares: int
+    states: int
+    side: int = 1
+
+
+class Options(ctypes.Structure):
+    """What else a kernel is told: see postfx/kernels/convolution.cuh."""
+
+    _fields_ = tuple((name, ctypes.c_int) for name in (
+        "height", "width", "tiles", "split", "positive", "side", "planes", "shares", "states"))
+
+
+@dataclass
+class Layer:
+    """A convolution and what follows it.
+
+    Attributes:
+        source: name of what it reads, (1, h, w, C).
+        weight: (channels, C, k, k) in half precision; with `cells` the stride is 2.
+        bias: (channels,).
+        output: name of its result.
+        cells: whether it reads cells of 2x2 pixels.
+        coarse: what is enlarged and added to the source, '' for nothing.
+        positive: whether nothing of it is less than 0.
+        added: (channels,) that are added at last.
+        pooled: name of the largest of 2x2 pixels of the result, '' for none.
+        others: name of what holds the channels from the `split`-th on; '' if the result holds all of them.
+        head: how the result is given, if not as it is.
+    """
+
+    source: str
+    weight: np.ndarray
+    bias: np.ndarray
+    output: str
+    cells: bool = False
+    coarse: str = ""
+    positive: bool = False
+    added: np.ndarray | None = None
+    pooled: str = ""
+    others: str = ""
+    split: int = 0
+    head: Head | None = None
+
+    @property
+    def taps(self) -> int:
+        """Pixels, or cells, along a side that it looks at."""
+        return int(self.weight.shape[2]) // (1 + self.cells)
+
+    @property
+    def channels(self) -> int:
+        """Channels that it makes."""
+        return int(self.weight.shape[0])
+
+    @property
+    def read(self) -> int:
+        """Channels of a pixel, or of a cell, that it reads."""
+        return int(self.weight.shape[1]) * (1 + 3 * self.cells)
+
+    @property
+    def tiles(self) -> tuple[int, ...]:
+        """Numbers of channels that a block of threads may make, the largest first."""
+        if self.head and self.head.side == 2:  # a row of pixels
+            return (2 * self.head.planes,)
+        return tuple(tile for tile in TILES if self.channels % tile == 0)
+
+    def give(self, head: Head) -> bool:
+        """Give the result in this form; whether the kernels can."""
+        parts = self.channels == 4 * head.planes and 2 * head.planes in TILES if head.side == 2 else True
+        if parts:
+            self.head = head
+        return parts
+
+    def factors(self, tile: int) -> np.ndarray:
+        """The weights in the order of the kernels: (tiles, steps, 4, tile, 8), tap by tap."""
+        count, side = self.channels, self.taps
+        if self.cells:  # the channels of a cell: its rows, their pixels, their channels
+            parts = self.weight.reshape(count, -1, side, 2, side, 2).transpose(2, 4, 3, 5, 1, 0)
+        else:
+            parts = self.weight.transpose(2, 3, 1, 0)
+        found = parts.reshape(-1, STEP // 8, 8, count // tile, tile).transpose(3, 0, 1, 4, 2)
+        return np.ascontiguousarray(found, HALF)
+
+
+class Unfit(Exception):
+    """The network has something that the kernels do not compute."""
+
+
+def read_layers(content: bytes, folder: Path) -> list[Layer]:
+    """The layers of a network in the order in which they run. Raises Unfit where it is not made of such layers only.
+
+    Args:
+        content: of the model, which has been checked.
+        folder: where files are that it has weights in.
+    """
+    return _join(_Reader(parse_model(content), folder).layers())
+
+
+class _Reader:
+    """Follows the nodes of a model: what is not part of a layer yet waits under the name of its result."""
+
+    def __init__(self, model: ModelFile, folder: Path) -> None:
+        self._model, self._folder = model, folder
+        self._weights = {weights.name: weights for weights in model.weights}
+        self._uses: dict[str, int] = {}
+        for node in model.nodes:
+            for name in node.inputs:
+                self._uses[name] = self._uses.get(name, 0) + 1
+        self._layers: dict[str, Layer] = {}  # by their result's name so far
+        self._same: dict[str, str] = {}  # inputs by their name with channels first
+        self._given: set[str] = set()  # outputs with channels last
+        self._enlarged: dict[str, str] = {}
+        self._sums: dict[str, tuple[str, str]] = {}
+
+    def layers(self) -> list[Layer]:
+        steps: dict[str, Callable[[Node], None]] = {
+            "Transpose": self._transpose, "Conv": self._convolve, "Relu": self._bound, "MaxPool": self._pool,
+            "Resize": self._enlarge, "Add": self._add}
+        for node in self._model.nodes:
+            if node.domain or node.operator not in steps or len(node.outputs) != 1:
+                raise Unfit(f"it has {node.operator}")
+            steps[node.operator](node)
+        if any(layer.channels % STEP or layer.read % STEP
+               for layer in self._layers.values()):
+            raise Unfit(f"it has channels that are no multiples of {STEP}")
+        found = list(self._layers.values())
+        if {value.name for value in self._model.outputs} != self._given:
+            raise Unfit("it has outputs that no convolution makes, or channels first")
+        known = {name for layer in found for name in (layer.output, layer.pooled)} | set(self._same.values())
+        if not {name for layer in found for name in (layer.source, layer.coarse)} <= known | {""}:
+            raise Unfit("it reads channels first, or what comes before an activation")
+        return found
+
+    def _transpose(self, node: Node) -> None:
+        source, result, order = node.inputs[0], node.outputs[0], node.integers.get("perm")
+        if order == (0, 2, 3, 1) and source in self._layers and self._uses[source] == 1:
+            self._rename(source, result)
+            self._given.add(result)
+        elif order == (0, 3, 1, 2) and source in {value.name for value in self._model.inputs}:
+            self._same[result] = source
+        else:
+            raise Unfit("it moves axes")
+
+    def _convolve(self, node: Node) -> None:
+        weight, ints = self._array(node.inputs[1]), node.integers
+        side = weight.shape[2]
+        shape = (ints.get("strides", (1, 1))[0], ints.get("pads", (0,) * 4)[0])
+        known = {(1, 1, 0): False, (3, 1, 1): False, (2, 2, 0): True, (4, 2, 1): True}
+        plain = (ints.get("group", (1,)), set(ints.get("dilations", (1,))), len(set(ints.get("pads", (0,)))),
+                 len(set(ints.get("strides", (1,)))), weight.shape[3], node.words.get("auto_pad", "NOTSET"))
+        if (side, *shape) not in known or plain != ((1,), {1}, 1, 1, side, "NOTSET") or len(node.inputs) != 3:
+            raise Unfit("it has other convolutions")
+        source, coarse = self._sums.get(node.inputs[0], (node.inputs[0], ""))
+        layer = Layer(self._same.get(source, source), weight, self._array(node.inputs[2]).astype(np.float32),
+                      node.outputs[0], known[side, *shape], coarse)
+        if coarse and layer.cells:
+            raise Unfit("it adds to an input")
+        self._layers[layer.output] = layer
+
+    def _bound(self, node: Node) -> None:
+        layer = self._last(node)
+        if layer.positive or layer.added is not None:
+            raise Unfit("it has two activations")
+        layer.positive = True
+        self._rename(node.inputs[0], node.outputs[0])
+
+    def _pool(self, node: Node) -> None:
+        layer, ints = self._layers.get(node.inputs[0]), node.integers
+        shape = tuple(ints.get(name, (standard,)) for name, standard in
+                      (("kernel_shape", 1), ("strides", 1), ("dilations", 1), ("pads", 0), ("ceil_mode", 0)))
+        if layer is None or layer.pooled or [set(part) for part in shape] != [{2}, {2}, {1}, {0}, {0}]:
+            raise Unfit("it pools otherwise")
+        layer.pooled = node.outputs[0]
+
+    def _enlarge(self, node: Node) -> None:
+        scale = self._array(node.inputs[2], _FLOAT) if len(node.inputs) > 2 else np.empty(0)
+        if scale.tolist() != [1, 1, 2, 2] or {name: node.words.get(name) for name in _NEAREST} != _NEAREST:
+            raise Unfit("it resizes otherwise")
+        self._enlarged[node.outputs[0]] = node.inputs[0]
+
+    def _add(self, node: Node) -> None:
+        first, second = node.inputs
+        if second in self._weights and first in self._layers and self._uses[first] == 1:
+            layer = self._layers[first]
+            if layer.added is not None or layer.pooled:
+                raise Unfit("it adds otherwise")
+            layer.added = self._array(second).astype(np.float32).reshape(-1)
+            if len(layer.added) != layer.channels:
+                raise Unfit("it adds other constants")
+            self._rename(first, node.outputs[0])
+        elif second in self._enlarged and first in self._layers:
+            self._sums[node.outputs[0]] = first, self._enlarged[second]
+        else:
+            raise Unfit("it adds otherwise")
+
+    def _last(self, node: Node) -> Layer:
+        """The layer that a node goes on with."""
+        layer = self._layers.get(node.inputs[0])
+        if layer is None or layer.pooled or self._uses[node.inputs[0]] != 1:
+            raise Unfit(f"its {node.operator} follows no convolution")
+        return layer
+
+    def _rename(self, old: str, new: str) -> None:
+        layer = self._layers.pop(old)
+        layer.output = new
+        self._layers[new] = layer
+
+    def _array(self, name: str, kind_number: int = _FLOAT16) -> np.ndarray:
+        weights = self._weights.get(name)
+        if weights is None or weights.kind != kind_number or not (weights.raw or weights.external):
+            raise Unfit("its weights are not in half precision")
+        kind = HALF if kind_number == _FLOAT16 else np.dtype(np.float32)
+        return np.frombuffer(self._bytes(weights, kind), kind).reshape(weights.dims)
+
+    def _bytes(self, weights: Weights, kind: np.dtype) -> bytes | memoryview:
+        if weights.external is None:
+            return weights.content
+        with (self._folder / weights.external["location"]).open("rb") as file:
+            file.seek(int(weights.external.get("offset", 0)))
+            return file.read(int(np.prod(weights.dims)) * kind.itemsize)
+
+
+def _join(layers: list[Layer]) -> list[Layer]:
+    """Layers of one pixel that read the same become one, where one of them is enlarged afterwards: its result comes
+    last."""
+    coarse, joined = {layer.coarse for layer in layers}, list[Layer]()
+    alike = {layer.output: layer for layer in layers if layer.taps == 1 and not (layer.cells or layer.positive)}
+    heads = {layer.source: layer for layer in alike.values() if layer.output not in coarse}
+    for layer in layers:
+        other = heads.get(layer.source) if layer.output in coarse and layer.output in alike else None
+        if other is not None:
+            weight, bias = np.concatenate((other.weight, layer.weight)), np.concatenate((other.bias, layer.bias))
+            layer = Layer(layer.source, weight, bias, other.output, others=layer.output, split=other.channels)
+        joined.append(layer)
+    taken = {layer.output for layer in joined if layer.others}
+    return [layer for layer in joined if layer.others or layer.output not in taken]
+
+
+def give_heads(layers: Sequence[Layer], shapes: Mapping[str, tuple[int, ...]],
+               heads: Mapping[str, Head]) -> tuple[dict[str, tuple[int, ...]], dict[str, str]]:
+    """Give results as these heads, by the names of outputs, where the kernels can: the shapes of inputs and outputs
+    then, and the new names of those that have one."""
+    found, names = dict(shapes), dict[str, str]()
+    for layer in layers:
+        if (head := heads.get(layer.output)) and layer.give(head):
+            _, rows, columns, _ = found.pop(layer.output)
+            found[head.name] = (1, head.planes, head.side * rows, head.side * columns)
+            names[layer.output], layer.output = head.name, head.name
+    return found, names
+
+
+@dataclass(frozen=True)
+class Launch:
+    """A layer with a result of some size, and how blocks of threads share the work: channels and 128 * `many` pixels of
+    each, and how many there are."""
+
+    layer: Layer
+    rows: int
+    columns: int
+    tile: int
+    many: int
+    blocks: int
+
+    @property
+    def name(self) -> str:
+        """The kernel's."""
+        return f"convolve_{self.layer.taps}_{int(self.layer.cells)}_{self.tile}_{self.many}"
+
+    @property
+    def source(self) -> str:
+        """The kernel's, to follow that of postfx/kernels/convolution.cuh."""
+        given = f"{self.layer.taps}, {'true' if self.layer.cells else 'false'}, {self.tile}, {self.many}"
+        return (f'\nextern "C" __global__ void __launch_bounds__(THREADS) {self.name}('
+                f'{", ".join(f"View {name}" for name in ARGUMENTS)}, Options options) {{\n'
+                f'    convolve<{given}>({", ".join(ARGUMENTS)}, options);\n}}\n')
+
+    @property
+    def shared(self) -> int:
+        """Bytes of shared memory of a block: squares of its input with their border, and weights; then its results."""
+        side = SQUARE + self.layer.taps - 1
+        pitch = 16 * (side**2 + {1: 1, 2: 0, 3: 5}[self.layer.taps])
+        read = 2 * self.many * self.layer.read // 8 * pitch + AHEAD * STEP * self.tile * 2
+        return max(read, 2 * self.many * SQUARE**2 * (2 * self.tile + 16))
+
+
+def plan(layer: Layer, rows: int, columns: int, most: int) -> Launch:
+    """Share the work on a result of this size: the largest blocks that occupy a GPU, else smaller ones.
+
+    Raises Unfit where all need more than `most` bytes of shared memory.
+    """
+    squares, found = -(-rows // SQUARE) * -(-columns // SQUARE), list[Launch]()
+    for tile in layer.tiles:
+        for many in (2, 1) if tile == layer.tiles[0] else (1,):
+            found.append(Launch(layer, rows, columns, tile, many, -(-squares // (2 * many)) * (layer.channels // tile)))
+    found = [launch for launch in found if launch.shared <= most]
+    if not found:
+        raise Unfit(f"a layer needs more than the {most} bytes of shared memory that there are")
+    return next((launch for launch in found if launch.blocks >= FEW), found[-1])
+
+
+class Gpu(Protocol):
+    """What runs the kernels; `most_shared` is how many bytes of shared memory a block of threads may have."""
+
+    @property
+    def most_shared(self) -> int: ...
+
+    def convolution(self, launch: Launch, kernels: str, tensors: Sequence[Tensor | None],
+                    options: Options) -> Callable[[], None]:
+        """A function that launches one of the kernels on tensors, in the order of `ARGUMENTS`."""
+        ...
+
+
+class Convolutions:
+    """A network's layers on a GPU, with their weights and intermediate results.
+
+    Args:
+        shapes: of the network's inputs and outputs, by name.
+
+    Raises Unfit where the GPU has too little shared memory for a layer.
+    """
+
+    def __init__(self, layers: Sequence[Layer], device: TensorDevice, gpu: Gpu,
+                 shapes: Mapping[str, tuple[int, ...]]) -> None:
+        if any(len(shape) != 4 or shape[0] != 1 for shape in shapes.values()):
+            raise Unfit("it works on several pictures at once")
+        self._gpu = gpu
+        self._own: dict[str, Tensor] = {}
+        sizes = {name: shape[1:3] for name, shape in shapes.items()}
+        self._launches: list[Launch] = []
+        for layer in layers:
+            rows, columns = (side // (1 + layer.cells) for side in sizes[layer.source])
+            sizes |= dict.fromkeys((layer.output, layer.others), (rows, columns))
+            sizes[layer.pooled] = rows // 2, columns // 2
+            for name, channels in ((layer.output, layer.split or layer.channels), (layer.pooled, layer.channels),
+                                   (layer.others, layer.channels - layer.split)):
+                if name and name not in shapes:
+                    self._own[name] = device.heap.tensor(name, (1, *sizes[name], channels), "float16")
+            self._launches.append(plan(layer, rows, columns, gpu.most_shared))
+        self._source = "".join(dict.fromkeys(launch.source for launch in self._launches))
+        self._given = [self._upload(device, launch) for launch in self._launches]
+
+    def _upload(self, device: TensorDevice, launch: Launch) -> dict[str, Tensor]:
+        layer = launch.layer
+        arrays = {"weights": layer.factors(launch.tile), "bias": layer.bias}
+        if layer.added is not None:
+            arrays["added"] = layer.added
+        found = {}
+        for name, array in arrays.items():
+            found[name] = device.heap.tensor(name, array.shape, array.dtype.name)
+            found[name].upload(array)
+        return found
+
+    def bind(self, tensors: Mapping[str, Tensor]) -> Callable[[], None]:
+        """A function that runs the network on these inputs and outputs."""
+        known, runs = {**self._own, **tensors}, []
+        for launch, given in zip(self._launches, self._given, strict=True):
+            layer = launch.layer
+            named = {"input": layer.source, "coarse": layer.coarse, "output": layer.output,
+                     "second": layer.others or layer.pooled}
+            used = given | {name: known[other] for name, other in named.items() if other}
+            side, (_, *ends) = (layer.head.side, layer.head[:4]) if layer.head else (0, ("", 0, 0, 0))
+            options = Options(launch.rows, launch.columns, layer.channels // launch.tile, layer.split, layer.positive,
+                              side, *ends)
+            runs.append(self._gpu.convolution(launch, self._source, [used.get(name) for name in ARGUMENTS], options))
+
+        def run() -> None:
+            for launch in runs:
+                launch()
+
+        return run
