@@ -211,8 +211,9 @@ class WatchedDevice(Device):
         super().__init__("cpu")
         self._library, self._name, self._look = library, name, look
 
-    def pipeline_state(self, library: Library, name: str, dims: Mapping[str, int] | None = None) -> PipelineState:
-        state = super().pipeline_state(self._library, self._name, dims)
+    def pipeline_state(self, library: Library, name: str, dims: Mapping[str, int] | None = None,
+                       **options: Any) -> PipelineState:
+        state = super().pipeline_state(self._library, self._name, dims, **options)
         state.prepare = partial(self._prepare, state, state.prepare)
         return state
 
