@@ -448,9 +448,9 @@ def read_source(family: Path) -> str:
 @cache
 def convolution_source() -> str:
     """What is compiled before the kernels of a network's layers."""
-    source = "".join((SOURCES / name).read_text() for name in ("common.cuh", "convolution.cuh"))
-    constants = print_constants(constants_of(SOURCES / "denoise" / "network_io.cu", source))
-    return (SOURCES / "view.cuh").read_text() + constants + source
+    source = "".join((SHARED / name).read_text() for name in ("common.cuh", "convolution.cuh"))
+    constants = print_constants(constants_of(SHARED / "denoise" / "network_io.cu", source))
+    return (SHARED / "view.cuh").read_text() + constants + source
 
 
 def constants_of(family: Path, source: str) -> dict[str, Any]:
