@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.passes.denoise import network
 from postfx.runtime import Device, Library, ModelError
 from postfx.system import models_dir
 
@@ -58,6 +59,17 @@ def test_small_file_gives_the_same_pictures(folder: Path, name: str, small_model
     frames = [guided(noisy(t), 74, 100) if name.endswith("guides") else noisy(t) for t in (1, 2)]
     results = [pictures([Shot(2.0, frames)], Library(folder), variant) for variant in (half, name)]
     assert difference(*results)["worst_psnr_db"] > 60
+
+
+def test_heads_in_half_precision_as_on_a_gpu_give_the_same_pictures(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two frames, the second of which has a history. The kernels' rows stand for a GPU."""
+    shots, tag = [Shot(1, [noisy(1), noisy(2)])], "denoise_upscale.small.fp16"
+    plain = pictures(shots, Library(folder), tag)
+    monkeypatch.setattr(network, "_is_half", lambda state: "packed_features" in state.shapes)
+    found = difference(pictures(shots, Library(folder), tag), plain)
+    assert 80 < found["worst_psnr_db"] < 200, "close, yet other kernels"
 
 
 def test_a_network_for_1x_shares_the_weights_of_its_own(folder: Path, tmp_path: Path) -> None:
