@@ -1,0 +1,171 @@
+"""Networks that know one scene shade its frames from planes, in a command buffer, and are measured.
+
+python samples/scene_network.py [PICTURE] [--models FOLDER] [--noisy PATTERN --reference PATTERN] [--views FOLDER]
+
+The networks are those of `python -m training.scene_network train`: shading.onnx from planes alone, temporal.onnx from
+planes and its state of the frame before, and amplifier.onnx from planes and one sample a pixel. On a sequence: PSNR
+after x/(1+x) and the sRGB curve, and flicker, also of temporal.onnx without history. On held-out views, by
+`python -m training.scene_network render`: PSNR, as it is and without the noise of the reference, which its two halves
+tell; and how many samples a pixel have the error of amplifier.onnx, by a stack of independent one-sample images. Prints
+milliseconds a frame; draws frames. Needs matplotlib, postfx-render[bench].
+"""
+import argparse
+import statistics
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from sky import shown
+
+import postfx
+from postfx import Device, Frame, Library, Role
+from postfx.bench.metrics import Pictures, flicker
+from postfx.runtime import ArgumentTable
+
+ROOM = Path(__file__).parent / "room"
+STATE = 7
+"""Numbers of a pixel that temporal.onnx hands on."""
+WAYS = ("shading", "temporal", "temporal, no history", "amplifier")
+
+
+class Shader:
+    """A network of a scene at one size, and its state."""
+
+    def __init__(self, device: Device, library: Library, kind: str, size: tuple[int, int]) -> None:
+        self._device, self._size, self.times = device, size, []
+        self._network = device.pipeline_state(library, kind, dict(zip(("height", "width"), size, strict=True)))
+        self._shaded = device.heap.tensor("shaded", (*size, 3))
+        self._states = [device.heap.tensor(name, (*size, STATE)) for name in ("before", "after")]
+        self._given, self._kind = {}, kind
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin without history."""
+        self._states[0].fill(0)
+
+    def __call__(self, planes: dict[str, np.ndarray]) -> np.ndarray:
+        """Shaded frame (H, W, 3) of planes (H, W, C) and camera (16,)."""
+        bound = {"shaded": self._shaded}
+        if self._kind == "temporal":
+            bound |= dict(zip(("before", "after"), self._states, strict=True))
+        for name in {one.name for one in self._network.bindings} - set(bound):
+            if name not in self._given:
+                self._given[name] = self._device.heap.tensor(name, planes[name].shape)
+            self._given[name].upload(np.ascontiguousarray(planes[name], np.float32))
+            bound[name] = self._given[name]
+        commands = self._device.command_buffer("shade")
+        with commands.machine_learning_encoder("shade") as encoder:
+            encoder.dispatch_network(self._network, ArgumentTable(self._network, bound))
+        commands.commit()
+        commands.wait()
+        self.times.append(sum(taken for _, taken in commands.timings))
+        self._states.reverse()
+        return self._shaded.download()
+
+
+def planes_of(frame: Frame) -> dict[str, np.ndarray]:
+    """What the networks read of a frame."""
+    height, width = frame[Role.DEPTH].shape[:2]
+    to_world, tangent = np.linalg.inv(frame.world_to_camera.T), np.tan(np.radians(frame.fov_x) / 2)
+    camera = [*to_world[:3, :4].T.ravel(), tangent, tangent * height / width, *frame.jitter]
+    return {role.value: frame[role] for role in frame.planes} | {"camera": np.float32(camera)}
+
+
+def decibels(error: float) -> float:
+    return float(-10 * np.log10(max(error, 1e-12)))
+
+
+def error_of(light: np.ndarray, other: np.ndarray) -> float:
+    """Mean squared difference of codes."""
+    return float(np.mean((shown(np.maximum(light, 0)) - shown(np.maximum(other, 0))) ** 2))
+
+
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "scene_network.png")
+parser.add_argument("--models", type=Path, default=ROOM, help="folder of the networks")
+parser.add_argument("--noisy", default=str(ROOM / "noisy.####.exr"), help="whose planes are read")
+parser.add_argument("--reference", default=str(ROOM / "reference.####.exr"))
+parser.add_argument("--views", type=Path, help="folder of held-out views, view.1NNNNN.npz")
+parser.add_argument("--device", default="cpu")
+parser.add_argument("--threads", type=int, default=1)
+parser.add_argument("--runs", type=int, default=5, help="more runs of a frame, for the times")
+chosen = parser.parse_args()
+
+device = Device(chosen.device, threads=chosen.threads) if chosen.device == "cpu" else Device(chosen.device)
+library, pictures = Library(chosen.models), []
+frames = list(postfx.read_sequence(chosen.noisy))
+size = frames[0][Role.DEPTH].shape[:2]
+truths = [frame[Role.COLOUR].reshape(size[0], -1, size[1], frame[Role.COLOUR].shape[1] // size[1], 3).mean((1, 3))
+          for frame in postfx.read_sequence(chosen.reference)]
+print(f"{len(frames)} frames of {size[1]}x{size[0]}: {chosen.noisy}")
+for way in WAYS[:3]:
+    shader, errors, flickers, before = Shader(device, library, way.split(",")[0], size), [], [], None
+    for frame, truth in zip(frames, truths, strict=True):
+        if "no history" in way or frame.reset:
+            shader.forget()
+        found = shader(planes_of(frame))
+        now = Pictures(shown(np.maximum(found, 0)), shown(truth))
+        errors.append(error_of(found, truth))
+        if before:
+            flickers.append(flicker(before, now, frame[Role.MOTION]))
+        before = now
+    pictures += [("reference", truth)] * (way == WAYS[0]) + [(f"{way}, {decibels(errors[-1]):.1f} dB", found)]
+    for _ in range(chosen.runs):
+        shader(planes_of(frame))
+    taken = statistics.median(shader.times[1:])
+    print(f"{way:22} {decibels(np.mean(errors)):6.2f} dB  flicker {np.mean(flickers):6.2f}  {taken:8.2f} ms a frame, "
+          f"{1000 / taken:.0f} frames a second on {chosen.device}")
+
+views = [path for path in sorted(chosen.views.glob("view.1?????.npz"))] if chosen.views else []
+errors, noises, equals, shaders, stacked = {way: [] for way in WAYS}, [], [], {}, []
+for path in views:
+    view = dict(np.load(path))
+    halves, size = (view["reference_a"], view["reference_b"]), view["depth"].shape[1:3]
+    truth = (halves[0] + halves[1]) / 2
+    noises.append(error_of(*halves) / 4)
+    moments = [{name: view[name][k] for name in ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth",
+                                                 "motion", "camera")} for k in range(len(view["depth"]))]
+    for way in WAYS:
+        kind = way.split(",")[0]
+        shaders[kind] = shader = shaders.get(kind) or Shader(device, library, kind, size)
+        shader.forget()
+        if way == "temporal":
+            for planes in moments[:-1]:
+                shader(planes)
+        results = [shader(moments[-1] | {"colour": colour}) for colour in view["colour"][:8 if kind == WAYS[3] else 1]]
+        errors[way].append(float(np.mean([error_of(one, truth) for one in results])))
+        if path == views[0]:
+            pictures += [("held-out view: reference", truth)] * (way == WAYS[0])
+            pictures += [("one sample a pixel", view["colour"][0])] * (way == WAYS[3])
+            pictures += [(f"{way}, {decibels(errors[way][-1]):.1f} dB", results[0])] * ("no" not in way)
+    if "means" in view:  # where the falling error of the means of n images is that of the amplifier
+        curve = np.array([error_of(mean, truth) - noises[-1] for mean in view["means"].astype(np.float32)])
+        own = errors["amplifier"][-1] - noises[-1]
+        stacked.append((own, curve[-1]))
+        at = float(np.exp(np.interp(-np.log(own), -np.log(np.minimum.accumulate(curve)), np.log(view["counts"]))))
+        equals.append(at if own > curve[-1] else float(view["counts"][-1] * curve[-1] / own))
+        print(f"{path.name}: the amplifier {decibels(own):.2f} dB, the mean of {view['counts'][-1]} images "
+              f"{decibels(curve[-1]):.2f}, of 1 {decibels(curve[0]):.2f}: worth {equals[-1]:.1f} samples"
+              f"{'' if own > curve[-1] else ', beyond the stack by 1/n'}")
+if views:
+    noise = float(np.mean(noises))
+    print(f"{len(views)} held-out views of {size[1]}x{size[0]}; the references' noise is {decibels(noise):.1f} dB")
+    for way in WAYS:
+        found = np.array(errors[way])
+        print(f"{way:22} {decibels(found.mean()):6.2f} dB, without the noise {decibels(found.mean() - noise):6.2f}; "
+              f"views from {decibels(found.max()):.2f} to {decibels(found.min()):.2f}")
+    for kind, shader in shaders.items():
+        print(f"{kind}: {statistics.median(shader.times[2:]):.2f} ms")
+if equals:
+    print(f"equivalent samples: {np.mean(equals):.1f}, from {min(equals):.1f} to {max(equals):.1f}")
+
+rows = -(-len(pictures) // 4)
+figure = Figure((14, 2.2 * rows), layout="constrained")
+for panel in figure.subplots(rows, 4).ravel():
+    panel.axis("off")
+for panel, (name, picture) in zip(figure.axes, pictures, strict=False):
+    panel.imshow(shown(np.maximum(picture.astype(np.float32), 0)))
+    panel.set_title(name, fontsize=9)
+figure.savefig(chosen.picture, dpi=80)
+print(f"wrote {chosen.picture}")

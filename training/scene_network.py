@@ -1,0 +1,541 @@
+"""Networks that know one scene: a U-Net from planes to shaded frames, with and without history or one noisy sample.
+
+    python -m training.scene_network render FOLDER [--variant cuda_ad_rgb]       needs Mitsuba
+    python -m training.scene_network train FOLDER MODELS                         needs torch, onnx
+
+`render` draws cameras all over the room of samples/room and renders them: views to learn from and held-out views,
+which have more samples, references of two independent halves, and the means of up to 256 independent one-sample
+images. Several processes can share the work (--part 0/4), and existing files are kept.
+
+`train` trains three networks of the same shape and writes each as ONNX with weights in half precision:
+shading.onnx from planes alone; temporal.onnx, which begins with those weights, from planes and its own previous state;
+amplifier.onnx from planes and colour of one sample a pixel. `samples/scene_network.py` runs and measures them.
+
+The networks read first-hit planes of one sample a pixel, and the camera: from them, the graph finds each pixel's place
+in the room, and where the mirrored view ray leaves the room's box (Lagarde and Zanuttini 2012), both with Fourier
+features (Tancik 2020). What they give is the logarithm of light without reflectance, which the albedos put back.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+WIDTHS = (48, 64, 96, 108)
+BANDS, BOX_BANDS = 6, 5
+EMITTER = 0.005
+FRAMES = 4
+"""Frames of a view, the last of which has a reference."""
+COLOURS = 8
+"""Independent one-sample renders of that frame."""
+HELD_OUT = 100_000
+"""Number of the first held-out view."""
+INPUTS = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "camera")
+KINDS = {"shading": (), "temporal": ("motion", "before"), "amplifier": ("colour",)}
+"""What each network reads beyond INPUTS."""
+STATE = 7
+"""Numbers of a pixel that `temporal` hands to the next frame: light, place, and 1."""
+NEAR = 0.01
+"""Distance of a place from the plane of the surface it is history of, in metres and in shares of the depth, at most."""
+
+
+# Rendering ----------------------------------------------------------------------------------------------------------
+
+def draw_pose(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Eye and target of a camera in the room of samples/room, and how both move in a frame; (2, 2, 3)."""
+    eye = rng.uniform((-2.3, 0.5, -2.2), (2.3, 2.3, 2.8))
+    target = rng.uniform((-2.0, 0.1, -2.9), (2.0, 1.9, 2.0))
+    while np.linalg.norm(target - eye) < 1.2:
+        target = rng.uniform((-2.0, 0.1, -2.9), (2.0, 1.9, 2.0))
+    return np.stack([eye, target]), rng.normal(0, (0.02, 0.008, 0.02), (2, 3))
+
+
+def render(args: argparse.Namespace) -> None:
+    """Write view.NNNNNN.npz, one a camera."""
+    import mitsuba as mi
+
+    mi.set_variant(args.variant)
+    from training.datagen.clip import Style, film_of, filter_table, plane_images, radical_inverse
+    from training.datagen.scenes.build import BuiltScene
+    from training.datagen.scenes.motion import Camera, look_at
+    from training.datagen.scenes.room import sample_room
+    from training.datagen.tracing import Tracer
+    from training.measure.equivalent_samples import prefix_counts
+
+    tracer, built, size, table = Tracer(), BuiltScene(sample_room()), tuple(args.size), filter_table("box")
+    aspect, pixels, began = size[0] / size[1], size[0] * size[1], time.monotonic()
+    args.folder.mkdir(parents=True, exist_ok=True)
+
+    def view(number: int, spp: int, stack: int) -> dict[str, np.ndarray]:
+        rng = np.random.default_rng(number)
+        while True:
+            pose, step = draw_pose(rng)
+            cameras = [Camera(look_at(*(pose + k * step)), 66.0) for k in range(-1, FRAMES)]
+            start, now = int(rng.integers(64)), float(rng.uniform(0, 8))
+            jitter = np.float32([[radical_inverse(start + k, 2), radical_inverse(start + k, 3)]
+                                 for k in range(FRAMES)]) - 0.5
+            style, frames = Style("realtime", 1, jitter), []
+            for k in range(FRAMES):
+                built.move(now + k, now + k - 1)
+                film = film_of(size, style.offsets(k, pixels, rng))
+                frames.append(plane_images(tracer, built, (cameras[k + 1], cameras[k]), size, style, film))
+            if np.percentile(frames[-1]["depth"], 4) > 0.4:
+                break
+        made = {name: np.stack([frame[name].reshape(size[1], size[0], -1) for frame in frames]) for name in frames[0]}
+        made["camera"] = np.stack([camera_vector(camera.to_world, camera.fov, aspect, jitter[k])
+                                   for k, camera in enumerate(cameras[1:])])
+
+        def ones(count: int, offsets: np.ndarray) -> np.ndarray:
+            """Independent one-sample images (count, H, W, 3)."""
+            film = film_of(size, offsets)
+            light = tracer.noisy(built.scene, cameras[-1], aspect, film, 1, int(rng.integers(1 << 31)))
+            return np.moveaxis(light.reshape(size[1], size[0], count, 3), 2, 0)
+
+        made["colour"] = ones(COLOURS, np.tile(0.5 + jitter[-1], (pixels, COLOURS, 1)).astype(np.float32))
+        halves = [tracer.reference(built.scene, cameras[-1], size, table, spp // 2, int(rng.integers(1 << 31)))
+                  for _ in range(2)]
+        if stack:
+            singles = np.concatenate([ones(16, rng.random((pixels, 16, 2), np.float32)) for _ in range(stack // 16)])
+            counts = np.array(prefix_counts(stack))
+            means = np.cumsum(singles, 0, dtype=np.float64)[counts - 1] / counts[:, None, None, None]
+            made |= {"counts": counts, "means": means.astype(np.float32)}
+        half = {name: np.clip(value, -65504, 65504).astype(np.float16) for name, value in made.items()
+                if name not in ("depth", "camera", "counts", "means")}
+        return made | half | {"reference_a": halves[0], "reference_b": halves[1]}
+
+    part, parts = (int(word) for word in args.part.split("/"))
+    wanted = [(HELD_OUT + k, args.held_spp, args.stack if k < args.stacks else 0) for k in range(args.held_out)]
+    for number, spp, stack in (wanted + [(k, args.spp, 0) for k in range(args.views)])[part::parts]:
+        path = args.folder / f"view.{number:06d}.npz"
+        if time.monotonic() - began > args.seconds:
+            break
+        if not path.exists():
+            found = view(number, spp, stack)
+            np.savez(path.with_suffix(".partial.npz"), **found)
+            path.with_suffix(".partial.npz").replace(path)
+            one, other = (to_codes(torch.from_numpy(found[name])) for name in ("reference_a", "reference_b"))
+            print(f"{path.name}: noise of {-10 * math.log10(float((one - other).square().mean()) / 4):.1f} dB, "
+                  f"{time.monotonic() - began:.0f} s", flush=True)
+
+
+def camera_vector(to_world: np.ndarray, fov: float, aspect: float, jitter: np.ndarray) -> np.ndarray:
+    """The argument `camera`, (16,): its axes to the left, up and forwards and its place in the world, the tangents of
+    half the field of view across and down, and the jitter in pixels."""
+    tangent = np.tan(np.radians(fov) / 2)
+    return np.float32([*to_world[:3, :4].T.ravel(), tangent, tangent / aspect, *jitter])
+
+
+# The network --------------------------------------------------------------------------------------------------------
+
+def to_codes(light: torch.Tensor) -> torch.Tensor:
+    """Light as codes 0..1: x/(1+x) and the sRGB curve."""
+    x = light.clamp(min=0) / (1 + light.clamp(min=0))
+    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp(min=1e-6) ** (1 / 2.4) - 0.055)
+
+
+def rays(camera: torch.Tensor, height: int, width: int) -> torch.Tensor:
+    """Rays (N, 3, H, W) from the cameras (N, 16), 1 long along their axes."""
+    u = torch.arange(width, device=camera.device, dtype=torch.float32)[None, None, :]
+    v = torch.arange(height, device=camera.device, dtype=torch.float32)[None, :, None]
+    x = (1 - 2 * (u + 0.5 + camera[:, 14, None, None]) / width) * camera[:, 12, None, None]
+    y = (1 - 2 * (v + 0.5 + camera[:, 15, None, None]) / height) * camera[:, 13, None, None]
+    left, up, forward = (camera[:, 3 * k:3 * k + 3, None, None] for k in range(3))
+    return left * x[:, None] + up * y[:, None] + forward
+
+
+def reflectance(diffuse: torch.Tensor, specular: torch.Tensor) -> torch.Tensor:
+    """What light is divided by: both albedos with a floor, 1 for lamps and misses."""
+    total = diffuse + specular
+    peak = total.amax(1, keepdim=True)
+    return torch.where(peak < EMITTER, torch.ones_like(total), torch.maximum(total, 0.15 * peak) + 0.01)
+
+
+def waves(x: torch.Tensor, bands: int) -> torch.Tensor:
+    """Sines and cosines of 2^k pi x, k < bands."""
+    angles = [2.0**k * math.pi * x for k in range(bands)]
+    return torch.cat([turned for angle in angles for turned in (angle.sin(), angle.cos())], 1)
+
+
+class Block(nn.Module):
+    """Two convolutions beside the identity."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.one, self.two = nn.Conv2d(width, width, 3, padding=1), nn.Conv2d(width, width, 3, padding=1)
+        nn.init.zeros_(self.two.weight)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return F.relu(x + self.two(F.relu(self.one(x))))
+
+
+class SceneNetwork(nn.Module):
+    """Features of pixels -> light. `low` and `high` are the corners of the scene's box."""
+
+    def __init__(self, kind: str, low: torch.Tensor, high: torch.Tensor) -> None:
+        super().__init__()
+        self.kind = kind
+        self.register_buffer("low", low)
+        self.register_buffer("high", high)
+        extra = {"shading": 0, "temporal": 4, "amplifier": 3}[kind]
+        features = 3 + 6 * BANDS + 6 * BOX_BANDS + 3 + 3 + 3 + 6 + 3 + extra
+        self.stem = nn.Conv2d(features, WIDTHS[0], 1)
+        self.first = nn.Conv2d(WIDTHS[0], WIDTHS[0], 3, padding=1)
+        self.downs = nn.ModuleList(nn.Conv2d(a, b, 3, 2, 1) for a, b in zip(WIDTHS, WIDTHS[1:], strict=False))
+        self.encoders = nn.ModuleList([nn.Conv2d(WIDTHS[1], WIDTHS[1], 3, padding=1), Block(WIDTHS[2]),
+                                       Block(WIDTHS[3])])
+        self.ups = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in zip(WIDTHS, WIDTHS[1:], strict=False))
+        self.decoders = nn.ModuleList([nn.Conv2d(WIDTHS[0], WIDTHS[0], 3, padding=1),
+                                       nn.Conv2d(WIDTHS[1], WIDTHS[1], 3, padding=1), Block(WIDTHS[2])])
+        self.last = nn.Conv2d(WIDTHS[0], 4 if kind == "temporal" else 3, 1)
+        nn.init.constant_(self.last.bias, 0.5)
+
+    def features(self, x: dict[str, torch.Tensor], ray: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """What the stem reads of planes (N, C, H, W) and rays, and the places in the box, -1..1."""
+        middle, half = (self.low + self.high)[None, :, None, None] / 2, (self.high - self.low)[None, :, None, None] / 2
+        hit = (x["depth"] < 1e6).float()
+        eye = (x["camera"][:, 9:12, None, None] - middle) / half
+        place = (eye + hit * x["depth"].clamp(max=1e6) * ray / half).clamp(-1.5, 1.5)
+        way = F.normalize(ray, dim=1)
+        normal = x["normal"]
+        mirrored = way - 2 * (way * normal).sum(1, keepdim=True) * normal
+        slope = mirrored / half
+        slope = torch.where(slope.abs() < 1e-5, torch.full_like(slope, 1e-5), slope)
+        reach = ((slope.sign() - place) / slope).amin(1, keepdim=True).clamp(0, 4)
+        leaves = place + reach * slope
+        roughness = x["roughness"]
+        albedo = torch.cat([x["diffuse_albedo"], x["specular_albedo"]], 1)
+        parts = [place, waves(place, BANDS), waves(leaves, BOX_BANDS), leaves, normal, mirrored, albedo, roughness,
+                 hit, torch.log1p(x["depth"].clamp(max=1e3)) / 3]
+        return torch.cat(parts, 1), place
+
+    def same_surface(self, before: torch.Tensor, place: torch.Tensor, x: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Where a warped state (N, 7, H, W) is of the surface at these places (N, 1, H, W)."""
+        shift = (before[:, 3:6] - place) * (self.high - self.low)[None, :, None, None] / 2
+        off = (shift * x["normal"]).sum(1, keepdim=True).abs()
+        return (before[:, 6:7] > 0.99) & (off < NEAR * (1 + x["depth"].clamp(max=1e3)))
+
+    def body(self, features: torch.Tensor) -> torch.Tensor:
+        """The U-Net: features -> logarithm of light, and for `temporal` the share of history."""
+        x = F.relu(self.stem(features))
+        with torch.autocast(x.device.type, torch.bfloat16, enabled=x.is_cuda and self.training,
+                            cache_enabled=False):
+            x, kept = F.relu(self.first(x)), []
+            for down, encode in zip(self.downs, self.encoders, strict=True):
+                kept.append(x)
+                x = F.relu(encode(F.relu(down(x))))
+            for level in reversed(range(len(self.ups))):
+                fine = kept[level]
+                x = F.interpolate(self.ups[level](x), scale_factor=2.0, mode="nearest")
+                x = x[:, :, :fine.shape[2], :fine.shape[3]] + fine
+                x = F.relu(self.decoders[level](x))
+        return self.last(x.float())
+
+    def forward(self, x: dict[str, torch.Tensor], ray: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Colour, and for `temporal` the next state; all (N, C, H, W)."""
+        features, place = self.features(x, ray)
+        shine = reflectance(x["diffuse_albedo"], x["specular_albedo"])
+        if self.kind == "shading":
+            light = F.softplus(self.body(features))
+            return shine * torch.expm1(light.clamp(max=12)), None
+        if self.kind == "amplifier":
+            noisy = torch.log1p(x["colour"].clamp(0.0, 6e4) / shine) / 3
+            light = F.softplus(self.body(torch.cat([features, noisy], 1)))
+            return shine * torch.expm1(light.clamp(max=12)), None
+        before = warp(x["before"], x["motion"])
+        same = self.same_surface(before, place, x)
+        past = torch.where(same, before[:, :3], torch.zeros_like(before[:, :3]))
+        found = self.body(torch.cat([features, past / 3, same.float()], 1))
+        share = torch.sigmoid(found[:, 3:]) * same
+        light = torch.lerp(F.softplus(found[:, :3]), past, share)
+        return shine * torch.expm1(light.clamp(max=12)), torch.cat([light, place, torch.ones_like(share)], 1)
+
+
+def warp(image: torch.Tensor, motion: torch.Tensor) -> torch.Tensor:
+    """`image` (N, C, H, W) where `motion` (N, 2, H, W) in pixels points to; bilinear, 0 outside."""
+    _, _, height, width = image.shape
+    x = torch.arange(width, device=image.device, dtype=torch.float32)[None, None, :] + motion[:, 0]
+    y = torch.arange(height, device=image.device, dtype=torch.float32)[None, :, None] + motion[:, 1]
+    grid = torch.stack([(2 * x + 1) / width - 1, (2 * y + 1) / height - 1], -1)
+    return F.grid_sample(image, grid, "bilinear", "zeros", align_corners=False)
+
+
+class Exported(nn.Module):
+    """A network as it is run: planes (H, W, C) -> colour (H, W, 3), and for `temporal` the next state (H, W, 7)."""
+
+    def __init__(self, network: SceneNetwork) -> None:
+        super().__init__()
+        self.network = network
+        self.reads = (*INPUTS, *KINDS[network.kind])
+        self.writes = ("shaded", "after") if network.kind == "temporal" else ("shaded",)
+
+    def forward(self, *planes: torch.Tensor) -> torch.Tensor | tuple[torch.Tensor, ...]:
+        x = {name: plane[None] if name == "camera" else plane.permute(2, 0, 1)[None]
+             for name, plane in zip(self.reads, planes, strict=True)}
+        height, width = x["depth"].shape[2:]
+        colour, state = self.network(x, rays(x["camera"], height, width))
+        made = [one[0].permute(1, 2, 0) for one in (colour, state) if one is not None]
+        return tuple(made) if len(made) > 1 else made[0]
+
+
+def save(network: SceneNetwork, path: Path) -> None:
+    """Write ONNX with weights rounded to half precision, which changes the network."""
+    import onnx
+    from torch.export import Dim
+
+    from training.export import export, parity
+
+    with torch.no_grad():
+        for weight in network.parameters():
+            weight.copy_(weight.half().float())
+    module, random = Exported(network.cpu().eval()), torch.Generator().manual_seed(0)
+    channels = {"roughness": 1, "depth": 1, "motion": 2, "before": STATE}
+    examples = [torch.rand(16, generator=random) if name == "camera" else
+                torch.rand(24, 40, channels.get(name, 3), generator=random) for name in module.reads]
+    free = [None if name == "camera" else {0: Dim.DYNAMIC, 1: Dim.DYNAMIC} for name in module.reads]
+    names = {name: (16,) if name == "camera" else ("height", "width", channels.get(name, 3)) for name in module.reads}
+    names |= {"shaded": ("height", "width", 3), "after": ("height", "width", STATE)}
+    model = export(module, examples, module.reads, module.writes, path, [tuple(free)], names)
+    box = {"box": json.dumps([network.low.tolist(), network.high.tolist()])}
+    onnx.helper.set_model_props(model, box)
+    path.write_bytes(model.SerializeToString(deterministic=True))
+    parity(module, path, examples, {"height": 24, "width": 40})
+
+
+# Training -----------------------------------------------------------------------------------------------------------
+
+class Views:
+    """Views on a device, as tensors (V, T, H, W, C)."""
+
+    def __init__(self, paths: list[Path], device: str) -> None:
+        from concurrent.futures import ThreadPoolExecutor
+
+        def load(path: Path) -> dict[str, np.ndarray]:
+            with np.load(path) as file:
+                found = {name: file[name].astype(np.float32) for name in (*INPUTS, "motion", "colour")}
+                found["wanted"] = (file["reference_a"] + file["reference_b"]) / 2
+            return found
+
+        with ThreadPoolExecutor(8) as pool:
+            every = list(pool.map(load, paths))
+        self.tensors = {name: torch.from_numpy(np.stack([one[name] for one in every])).to(device) for name in every[0]}
+        self.count, _, self.height, self.width, _ = self.tensors["depth"].shape
+        self.device = device
+        cameras = self.tensors["camera"]
+        flat = [rays(cameras[:, k], self.height, self.width).permute(0, 2, 3, 1) for k in range(FRAMES)]
+        self.tensors["ray"] = torch.stack(flat, 1).contiguous()
+
+    def box(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Corners of the box that holds almost all first hits."""
+        eye, depth = self.tensors["camera"][:, -1, None, None, 9:12], self.tensors["depth"][:, -1]
+        places = (eye + depth * self.tensors["ray"][:, -1])[depth[..., 0] < 1e6][::37]
+        ends = [places.kthvalue(max(1, round(share * (len(places) - 1))), 0).values for share in (0.001, 0.999)]
+        return ends[0].cpu(), ends[1].cpu()
+
+    def crops(self, picked: torch.Tensor, size: tuple[int, int], last: int) -> list[dict[str, torch.Tensor]]:
+        """The last frames of crops: `picked` (B, 4) holds their views, rows, columns and which one-sample render."""
+        view, colour = picked[:, 0, None, None], picked[:, 3, None, None]
+        rows = picked[:, 1, None, None] + torch.arange(size[0], device=self.device)[None, :, None]
+        columns = picked[:, 2, None, None] + torch.arange(size[1], device=self.device)[None, None, :]
+        made = []
+        for frame in range(FRAMES - last, FRAMES):
+            planes = {name: self.tensors[name][view, frame, rows, columns].permute(0, 3, 1, 2)
+                      for name in (*INPUTS[:-1], "motion", "ray")}
+            made.append(planes | {"camera": self.tensors["camera"][picked[:, 0], frame]})
+        made[-1]["colour"] = self.tensors["colour"][view, colour, rows, columns].permute(0, 3, 1, 2)
+        made[-1]["wanted"] = self.tensors["wanted"][view, rows, columns].permute(0, 3, 1, 2)
+        return made
+
+
+def loss_of(network: SceneNetwork, frames: list[dict[str, torch.Tensor]], begins: torch.Tensor) -> torch.Tensor:
+    """Mean squared error of the last frame's codes and, with history, of their change along the motion.
+
+    `begins` (B,) is the frame of each crop before which there is no history.
+    """
+    if network.kind != "temporal":
+        found, _ = network(frames[-1], frames[-1]["ray"])
+        return F.mse_loss(to_codes(found), to_codes(frames[-1]["wanted"]))
+    batch, _, height, width = frames[0]["depth"].shape
+    state = frames[0]["depth"].new_zeros(batch, STATE, height, width)
+    change, codes = state.new_zeros(()), None
+    for k, frame in enumerate(frames):
+        frame["before"] = state * (begins < k)[:, None, None, None]
+        found, state = network(frame, frame["ray"])
+        shown = to_codes(found)
+        if codes is not None:
+            before = warp(frame["before"], frame["motion"])
+            same = network.same_surface(before, state[:, 3:6], frame)
+            change = change + ((shown - warp(codes, frame["motion"])) * same).square().mean() / len(frames)
+        codes = shown
+    return F.mse_loss(codes, to_codes(frames[-1]["wanted"])) + CHANGE * change
+
+
+CHANGE = 0.5
+"""Weight of the change along the motion."""
+
+
+def steps_of(seconds: float, most: int) -> Iterator[tuple[int, float]]:
+    """Numbers of steps, and how much of the time or of the steps has passed, 0..1."""
+    began, done = time.monotonic(), 0
+    while done < most and time.monotonic() - began < seconds:
+        yield done, max((time.monotonic() - began) / seconds, done / most)
+        done += 1
+        if torch.cuda.is_available() and done % 16 == 0:
+            torch.cuda.synchronize()
+
+
+def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: float, rate: float) -> SceneNetwork:
+    """Train with Adam at a rate that falls by half a cosine; returns the network with averaged weights."""
+    device, cuda = views.device, views.device == "cuda"
+    network.to(device, memory_format=torch.channels_last).train()
+    size, last = (min(args.crop, views.height), min(args.crop, views.width)), FRAMES if network.kind == "temporal" else 1
+    batch = max(1, args.batch // (2 if last > 1 else 1))
+    step_size = torch.tensor(rate, device=device)
+    adam = torch.optim.AdamW(network.parameters(), lr=step_size, betas=(0.9, 0.99), weight_decay=1e-4,
+                             capturable=cuda, fused=True)
+    random = torch.Generator().manual_seed(0)
+    limits = (views.count, views.height - size[0] + 1, views.width - size[1] + 1, COLOURS)
+    picked, begins = torch.zeros(batch, 4, dtype=torch.int64, device=device), torch.zeros(batch, device=device)
+    mean = {name: value.detach().clone() for name, value in network.named_parameters()}
+    newest = torch.ones((), device=device)
+
+    def draw() -> None:
+        chosen = torch.stack([torch.randint(most, (batch,), generator=random) for most in limits], 1)
+        picked.copy_(chosen, non_blocking=True)
+        begins.copy_(torch.randint(0, FRAMES, (batch,), generator=random), non_blocking=True)
+
+    def step() -> torch.Tensor:
+        adam.zero_grad(set_to_none=False)
+        loss = loss_of(network, views.crops(picked, size, last), begins)
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        adam.step()
+        for name, value in network.named_parameters():
+            mean[name].lerp_(value.detach(), newest)
+        return loss.detach()
+
+    graph, loss, done = None, torch.zeros(()), 0
+    for done, passed in steps_of(seconds, args.steps):
+        step_size.fill_(rate * min(1, (done + 1) / 100) * (0.5 + 0.5 * math.cos(math.pi * passed)) + 1e-6)
+        newest.fill_(max(0.002, 10 / (done + 10)))
+        draw()
+        if graph:
+            graph.replay()
+        elif not cuda or done < 3:
+            loss = step()
+        else:
+            graph, side = torch.cuda.CUDAGraph(), torch.cuda.Stream()
+            side.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(side):
+                step()
+            torch.cuda.current_stream().wait_stream(side)
+            with torch.cuda.graph(graph):
+                loss = step()
+        if done % args.report == 0:
+            print(f"{network.kind} step {done}: {-10 * math.log10(float(loss)):.2f} dB, {passed:.0%}", flush=True)
+    print(f"{network.kind}: {done + 1} steps of {batch} crops, "
+          f"{sum(p.numel() for p in network.parameters())} parameters", flush=True)
+    with torch.no_grad():
+        for name, value in network.named_parameters():
+            value.copy_(mean[name])
+    return network
+
+
+def begun_with(network: SceneNetwork, other: SceneNetwork) -> SceneNetwork:
+    """The network with the weights of `shading`; what it reads or gives beyond that begins with 0."""
+    with torch.no_grad():
+        for (_, mine), (_, given) in zip(network.named_parameters(), other.named_parameters(), strict=True):
+            mine.zero_()[tuple(slice(0, n) for n in given.shape)] = given.to(mine.device)
+    return network
+
+
+def restored(network: SceneNetwork, path: Path) -> SceneNetwork:
+    """The network with the weights and the box of an ONNX file that `save` wrote."""
+    import onnx
+
+    model = onnx.load(path)
+    held = {one.name.removesuffix("_half"): onnx.numpy_helper.to_array(one).astype(np.float32)
+            for one in model.graph.initializer}
+    with torch.no_grad():
+        for name, value in network.named_parameters():
+            value.copy_(torch.from_numpy(held[f"network.{name}"]))
+        for kept, corner in zip((network.low, network.high), json.loads(model.metadata_props[0].value), strict=True):
+            kept.copy_(torch.tensor(corner))
+    return network
+
+
+def train(args: argparse.Namespace) -> None:
+    """Write the networks."""
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
+    torch.manual_seed(0)
+    paths = sorted(path for path in args.folder.glob("view.*.npz") if int(path.stem.split(".")[1]) < HELD_OUT)
+    began = time.monotonic()
+    views = Views(paths, device)
+    print(f"{views.count} views of {views.width}x{views.height}, loaded in {time.monotonic() - began:.0f} s",
+          flush=True)
+    base = None
+    for kind, share, rate in (("shading", 1.0, 2e-3), ("amplifier", 0.75, 1.5e-3), ("temporal", 0.75, 1e-3)):
+        if kind not in args.kinds:
+            continue
+        network = SceneNetwork(kind, *views.box())
+        if args.start:
+            network = restored(network, args.start / f"{kind}.onnx")
+        elif base is not None:
+            network = begun_with(network, base)
+        began = time.monotonic()
+        network = fit(network, views, args, args.seconds * share, rate)
+        print(f"{kind}: {time.monotonic() - began:.0f} s", flush=True)
+        if kind == "shading":
+            base = network
+        save(copy_of(network), args.models / f"{kind}.onnx")
+
+
+def copy_of(network: SceneNetwork) -> SceneNetwork:
+    """The same on the CPU."""
+    other = SceneNetwork(network.kind, network.low.cpu(), network.high.cpu())
+    other.load_state_dict({name: value.cpu() for name, value in network.state_dict().items()})
+    return other
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    one = commands.add_parser("render", help="render the views")
+    one.add_argument("folder", type=Path)
+    one.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
+    one.add_argument("--size", type=int, nargs=2, default=(256, 144))
+    one.add_argument("--views", type=int, default=256, help="to learn from")
+    one.add_argument("--spp", type=int, default=128, help="samples a pixel of their references")
+    one.add_argument("--held-out", type=int, default=8)
+    one.add_argument("--held-spp", type=int, default=2048)
+    one.add_argument("--stacks", type=int, default=4, help="held-out views with a stack of one-sample images")
+    one.add_argument("--stack", type=int, default=256, help="images of a stack")
+    one.add_argument("--part", default="0/1", help="this process's part of the views, such as 0/4")
+    one.add_argument("--seconds", type=float, default=1e9, help="begin no view after this time")
+    one.set_defaults(act=render)
+    two = commands.add_parser("train", help="train the networks")
+    two.add_argument("folder", type=Path)
+    two.add_argument("models", type=Path)
+    two.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    two.add_argument("--start", type=Path, help="folder of networks to go on from")
+    two.add_argument("--seconds", type=float, default=55, help="of the first network; the others take 3/4 of that")
+    two.add_argument("--steps", type=int, default=10**9, help="at most")
+    two.add_argument("--batch", type=int, default=16)
+    two.add_argument("--crop", type=int, default=128)
+    two.add_argument("--report", type=int, default=500)
+    two.set_defaults(act=train)
+    args = parser.parse_args(argv)
+    args.act(args)
+
+
+if __name__ == "__main__":
+    main()
