@@ -30,7 +30,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-WIDTHS = (48, 64, 96, 108)
+WIDTHS = (48, 64, 96, 112)
 BANDS, BOX_BANDS = 6, 5
 EMITTER = 0.005
 FRAMES = 4
@@ -160,9 +160,12 @@ def reflectance(diffuse: torch.Tensor, specular: torch.Tensor) -> torch.Tensor:
 
 
 def waves(x: torch.Tensor, bands: int) -> torch.Tensor:
-    """Sines and cosines of 2^k pi x, k < bands."""
-    angles = [2.0**k * math.pi * x for k in range(bands)]
-    return torch.cat([turned for angle in angles for turned in (angle.sin(), angle.cos())], 1)
+    """Sines and cosines of 2^k pi x, k < bands; from the second on by doubling the angle."""
+    made = [(math.pi * x).sin(), (math.pi * x).cos()]
+    for _ in range(bands - 1):
+        sine, cosine = made[-2:]
+        made += [2 * sine * cosine, 1 - 2 * sine * sine]
+    return torch.cat(made, 1)
 
 
 class Block(nn.Module):
