@@ -4,7 +4,7 @@
     python -m training.scene_network train FOLDER MODELS                         needs torch, onnx
 
 `render` draws cameras all over the room of samples/room and renders them: views to learn from and held-out views,
-which have more samples, references of two independent halves, and the means of up to 256 independent one-sample
+which have more samples, references of two independent halves, and the means of up to 1024 independent one-sample
 images. Several processes can share the work (--part 0/4), and existing files are kept.
 
 `train` trains three networks of the same shape and writes each as ONNX with weights in half precision:
@@ -37,6 +37,8 @@ FRAMES = 4
 """Frames of a view, the last of which has a reference."""
 COLOURS = 8
 """Independent one-sample renders of that frame."""
+TOGETHER = 16
+"""One-sample images that are rendered in one go."""
 HELD_OUT = 100_000
 """Number of the first held-out view."""
 INPUTS = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "camera")
@@ -104,10 +106,12 @@ def render(args: argparse.Namespace) -> None:
         halves = [tracer.reference(built.scene, cameras[-1], size, table, spp // 2, int(rng.integers(1 << 31)))
                   for _ in range(2)]
         if stack:
-            singles = np.concatenate([ones(16, rng.random((pixels, 16, 2), np.float32)) for _ in range(stack // 16)])
-            counts = np.array(prefix_counts(stack))
-            means = np.cumsum(singles, 0, dtype=np.float64)[counts - 1] / counts[:, None, None, None]
-            made |= {"counts": counts, "means": means.astype(np.float32)}
+            counts, means, total = prefix_counts(stack), [], np.zeros((size[1], size[0], 3))
+            for first in range(0, stack, TOGETHER):
+                for n, image in enumerate(ones(TOGETHER, rng.random((pixels, TOGETHER, 2), np.float32)), first + 1):
+                    total += image
+                    means += [total / n] if n in counts else []
+            made |= {"counts": np.array(counts), "means": np.float32(means)}
         half = {name: np.clip(value, -65504, 65504).astype(np.float16) for name, value in made.items()
                 if name not in ("depth", "camera", "counts", "means")}
         return made | half | {"reference_a": halves[0], "reference_b": halves[1]}
@@ -189,7 +193,7 @@ class SceneNetwork(nn.Module):
         self.register_buffer("low", low)
         self.register_buffer("high", high)
         extra = {"shading": 0, "temporal": 4, "amplifier": 3}[kind]
-        features = 3 + 6 * BANDS + 6 * BOX_BANDS + 3 + 3 + 3 + 6 + 3 + extra
+        features = 6 * BANDS + 6 * BOX_BANDS + 23 + extra
         self.stem = nn.Conv2d(features, WIDTHS[0], 1)
         self.first = nn.Conv2d(WIDTHS[0], WIDTHS[0], 3, padding=1)
         self.downs = nn.ModuleList(nn.Conv2d(a, b, 3, 2, 1) for a, b in zip(WIDTHS, WIDTHS[1:], strict=False))
@@ -217,7 +221,8 @@ class SceneNetwork(nn.Module):
         roughness = x["roughness"]
         albedo = torch.cat([x["diffuse_albedo"], x["specular_albedo"]], 1)
         parts = [place, waves(place, BANDS), waves(leaves, BOX_BANDS), leaves, normal, mirrored, albedo, roughness,
-                 hit, torch.log1p(x["depth"].clamp(max=1e3)) / 3]
+                 hit, torch.log1p(x["depth"].clamp(max=1e3)) / 3,
+                 x["camera"][:, 14:16, None, None].expand(-1, -1, *ray.shape[2:])]
         return torch.cat(parts, 1), place
 
     def same_surface(self, before: torch.Tensor, place: torch.Tensor, x: dict[str, torch.Tensor]) -> torch.Tensor:
@@ -521,7 +526,7 @@ def main(argv: list[str] | None = None) -> None:
     one.add_argument("--held-out", type=int, default=8)
     one.add_argument("--held-spp", type=int, default=2048)
     one.add_argument("--stacks", type=int, default=4, help="held-out views with a stack of one-sample images")
-    one.add_argument("--stack", type=int, default=256, help="images of a stack")
+    one.add_argument("--stack", type=int, default=1024, help="images of a stack, a multiple of 16")
     one.add_argument("--part", default="0/1", help="this process's part of the views, such as 0/4")
     one.add_argument("--seconds", type=float, default=1e9, help="begin no view after this time")
     one.set_defaults(act=render)

@@ -1,0 +1,121 @@
+"""Networks of one scene: rendered, trained and run at a small size."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import runpy
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.training.llvm import require_mitsuba
+
+torch = pytest.importorskip("torch")
+require_mitsuba()
+
+from training.scene_network import (  # noqa: E402
+    FRAMES,
+    HELD_OUT,
+    STATE,
+    SceneNetwork,
+    Views,
+    begun_with,
+    main,
+    restored,
+    warp,
+)
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+HELD = f"view.{HELD_OUT:06d}.npz"
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two views to learn from, and one that is held out."""
+    folder = tmp_path_factory.mktemp("views")
+    main(["render", str(folder), "--variant", "llvm_ad_rgb", "--size", "48", "32", "--views", "2", "--spp", "4",
+          "--held-out", "1", "--held-spp", "64", "--stack", "16"])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def views(rendered: Path) -> Views:
+    return Views(sorted(rendered.glob("view.*.npz")), "cpu")
+
+
+def test_more_samples_are_nearer_to_the_reference(rendered: Path) -> None:
+    view = dict(np.load(rendered / HELD))
+    truth = (view["reference_a"] + view["reference_b"]) / 2
+    errors = [np.mean((np.tanh(mean.astype(float)) - np.tanh(truth)) ** 2) for mean in view["means"]]
+    assert view["counts"][0] == 1 and view["counts"][-1] == 16 and errors[-1] < errors[0] / 4
+    assert len({one.tobytes() for one in view["colour"]}) == len(view["colour"])
+
+
+def test_places_lie_in_the_room_and_motion_leads_back_to_them(views: Views) -> None:
+    """To the plane of the surface, as pixels of two frames are not at the same points of it."""
+    network = SceneNetwork("temporal", *views.box())
+    np.testing.assert_allclose(network.high - network.low, [5.2, 2.8, 6.0], atol=1.5)
+    frames = views.crops(torch.tensor([[k, 0, 0, 0] for k in range(views.count)]), (views.height, views.width), FRAMES)
+    states = []
+    for frame in frames[-2:]:
+        place = network.features(frame, frame["ray"])[1]
+        assert (place.abs() < 1.1).float().mean() > 0.95
+        states.append(torch.cat([place, place, torch.ones_like(place[:, :1])], 1))
+    now = frames[-1]
+    followed, wrong = (network.same_surface(warp(states[0], motion), states[1][:, 3:6], now).float().mean()
+                       for motion in (now["motion"], now["motion"] + 8))
+    assert followed > 0.75 > wrong + 0.15
+
+
+def test_history_is_of_no_use_where_there_is_none(views: Views) -> None:
+    """The temporal network begins as the other one, and without a state it does what that one does."""
+    torch.manual_seed(0)
+    shading, box = SceneNetwork("shading", *views.box()), views.box()
+    temporal = begun_with(SceneNetwork("temporal", *box), shading)
+    (frame,) = views.crops(torch.tensor([[0, 0, 0, 0]]), (views.height, views.width), 1)
+    frame["before"] = torch.zeros(1, STATE, views.height, views.width)
+    with torch.no_grad():
+        alone, state = temporal(frame, frame["ray"])
+        torch.testing.assert_close(alone, shading(frame, frame["ray"])[0], rtol=1e-4, atol=1e-5)
+        elsewhere = torch.ones(1, STATE, 1, 1)
+        elsewhere[:, 3:6] *= torch.tensor([1.0, 0.7, 0.4])[None, :, None, None]
+        frame["before"] = state + elsewhere  # another light of other places counts for nothing, too
+        other, hit = temporal(frame, frame["ray"])[0], frame["depth"] < 1e6
+        assert (other - alone).abs().amax(1, keepdim=True)[hit].lt(1e-4).float().mean() > 0.95
+        frame["before"], frame["motion"] = state, torch.zeros_like(frame["motion"])
+        frame["before"][:, :3] += 1
+        brighter = temporal(frame, frame["ray"])[0]
+    assert (brighter >= alone - 1e-6).all() and (brighter > alone).float().mean() > 0.9
+
+
+def test_a_network_is_trained_and_runs_in_a_command_buffer(rendered: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("flip_evaluator")
+    for kind in ("shading", "amplifier"):
+        shutil.copy(SAMPLES / "room" / f"{kind}.onnx", tmp_path)
+    main(["train", str(rendered), str(tmp_path), "--kinds", "temporal", "--start", str(SAMPLES / "room"), "--steps", "2",
+          "--batch", "2", "--crop", "32"])
+    learnt, before = (restored(SceneNetwork("temporal", torch.zeros(3), torch.ones(3)), folder / "temporal.onnx")
+                      for folder in (tmp_path, SAMPLES / "room"))
+    assert torch.equal(learnt.low, before.low) and not torch.equal(learnt.stem.weight, before.stem.weight)
+    told = run_sample(str(tmp_path / "a.png"), "--models", str(tmp_path), "--views", str(rendered), "--runs", "1")
+    rows = {name.strip(): float(found) for name, found in re.findall(r"(?m)^(.{22}) +([\d.]+) dB, without", told)}
+    assert list(rows) == ["shading", "temporal", "temporal, no history", "amplifier"]
+    assert rows["amplifier"] > rows["shading"] > 20
+    assert float(re.search(r"equivalent samples: ([\d.]+)", told)[1]) > 16
+    assert (tmp_path / "a.png").stat().st_size > 50000
+
+
+def run_sample(*arguments: str) -> str:
+    """What samples/scene_network.py prints."""
+    printed = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        patch.setattr(sys, "argv", ["scene_network.py", *arguments])
+        patch.syspath_prepend(SAMPLES)
+        runpy.run_path(str(SAMPLES / "scene_network.py"), run_name="__main__")
+    return printed.getvalue()
