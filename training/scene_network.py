@@ -216,8 +216,8 @@ class SceneNetwork(nn.Module):
         mirrored = way - 2 * (way * normal).sum(1, keepdim=True) * normal
         slope = mirrored / half
         slope = torch.where(slope.abs() < 1e-5, torch.full_like(slope, 1e-5), slope)
-        reach = ((slope.sign() - place) / slope).amin(1, keepdim=True).clamp(0, 4)
-        leaves = place + reach * slope
+        reach = ((slope.sign() - place) / slope).amin(1, keepdim=True).clamp(min=0)
+        leaves = (place + reach * slope).clamp(-1.5, 1.5)
         roughness = x["roughness"]
         albedo = torch.cat([x["diffuse_albedo"], x["specular_albedo"]], 1)
         parts = [place, waves(place, BANDS), waves(leaves, BOX_BANDS), leaves, normal, mirrored, albedo, roughness,
@@ -404,7 +404,8 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
     """Train with Adam at a rate that falls by half a cosine; returns the network with averaged weights."""
     device, cuda = views.device, views.device == "cuda"
     network.to(device, memory_format=torch.channels_last).train()
-    size, last = (min(args.crop, views.height), min(args.crop, views.width)), FRAMES if network.kind == "temporal" else 1
+    size = min(args.crop, views.height), min(args.crop, views.width)
+    last = FRAMES if network.kind == "temporal" else 1
     batch = max(1, args.batch // (2 if last > 1 else 1))
     step_size = torch.tensor(rate, device=device)
     adam = torch.optim.AdamW(network.parameters(), lr=step_size, betas=(0.9, 0.99), weight_decay=1e-4,

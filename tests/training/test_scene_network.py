@@ -98,8 +98,8 @@ def test_a_network_is_trained_and_runs_in_a_command_buffer(rendered: Path, tmp_p
     pytest.importorskip("flip_evaluator")
     for kind in ("shading", "amplifier"):
         shutil.copy(SAMPLES / "room" / f"{kind}.onnx", tmp_path)
-    main(["train", str(rendered), str(tmp_path), "--kinds", "temporal", "--start", str(SAMPLES / "room"), "--steps", "2",
-          "--batch", "2", "--crop", "32"])
+    main(["train", str(rendered), str(tmp_path), "--kinds", "temporal", "--start", str(SAMPLES / "room"), "--steps",
+          "2", "--batch", "2", "--crop", "32"])
     learnt, before = (restored(SceneNetwork("temporal", torch.zeros(3), torch.ones(3)), folder / "temporal.onnx")
                       for folder in (tmp_path, SAMPLES / "room"))
     assert torch.equal(learnt.low, before.low) and not torch.equal(learnt.stem.weight, before.stem.weight)
