@@ -328,13 +328,14 @@ class Views:
 
         def load(path: Path) -> dict[str, np.ndarray]:
             with np.load(path) as file:
-                found = {name: file[name].astype(np.float32) for name in (*INPUTS, "motion", "colour")}
+                found = {name: file[name] for name in (*INPUTS, "motion", "colour")}
                 found["wanted"] = (file["reference_a"] + file["reference_b"]) / 2
             return found
 
         with ThreadPoolExecutor(8) as pool:
             every = list(pool.map(load, paths))
-        self.tensors = {name: torch.from_numpy(np.stack([one[name] for one in every])).to(device) for name in every[0]}
+        self.tensors = {name: torch.from_numpy(np.stack([one[name] for one in every])).to(device).float()
+                        for name in every[0]}
         self.count, _, self.height, self.width, _ = self.tensors["depth"].shape
         self.device = device
         cameras = self.tensors["camera"]
