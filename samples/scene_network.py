@@ -2,11 +2,11 @@
 
 python samples/scene_network.py [PICTURE] [--models FOLDER] [--noisy PATTERN --reference PATTERN] [--views FOLDER]
 
-The networks are those of `python -m training.scene_network train`: shading.onnx from planes alone, temporal.onnx from
-planes and its state of the frame before, and amplifier.onnx from planes and one sample a pixel. On a sequence: PSNR
-after x/(1+x) and the sRGB curve, and flicker, also of temporal.onnx without history. On held-out views, by
-`python -m training.scene_network render`: PSNR, as it is and without the noise of the reference, which its two halves
-tell; and how many samples a pixel have the error of amplifier.onnx, by a stack of independent one-sample images. Prints
+The networks are those of `python -m training.scene_network`: shading.onnx from planes alone, temporal.onnx from planes
+and its state of the frame before, and amplifier.onnx from planes and one sample a pixel. On a sequence: PSNR after
+x/(1+x) and the sRGB curve, and flicker, also of temporal.onnx without history. On held-out views, by `python -m
+training.datagen.make_sample views`: PSNR, as it is and without the noise of the reference, which its two halves tell;
+and how many samples a pixel have the error of amplifier.onnx, by a stack of independent one-sample images. Prints
 milliseconds a frame; draws frames. Needs matplotlib, postfx-render[bench].
 """
 import argparse
@@ -43,6 +43,11 @@ class Shader:
     def forget(self) -> None:
         """Begin without history."""
         self._states[0].fill(0)
+
+    @property
+    def taken(self) -> float:
+        """Milliseconds of a frame, without the first one."""
+        return statistics.median(self.times[1:] or self.times)
 
     def __call__(self, planes: dict[str, np.ndarray]) -> np.ndarray:
         """Shaded frame (H, W, 3) of planes (H, W, C) and camera (16,)."""
@@ -86,7 +91,7 @@ parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gette
 parser.add_argument("--models", type=Path, default=ROOM, help="folder of the networks")
 parser.add_argument("--noisy", default=str(ROOM / "noisy.####.exr"), help="whose planes are read")
 parser.add_argument("--reference", default=str(ROOM / "reference.####.exr"))
-parser.add_argument("--views", type=Path, help="folder of held-out views, view.1NNNNN.npz")
+parser.add_argument("--views", type=Path, help="folder of held-out views, held.NNNN.npz")
 parser.add_argument("--device", default="cpu")
 parser.add_argument("--threads", type=int, default=1)
 parser.add_argument("--runs", type=int, default=5, help="more runs of a frame, for the times")
@@ -113,11 +118,10 @@ for way in WAYS[:3]:
     pictures += [("reference", truth)] * (way == WAYS[0]) + [(f"{way}, {decibels(errors[-1]):.1f} dB", found)]
     for _ in range(chosen.runs):
         shader(planes_of(frame))
-    taken = statistics.median(shader.times[1:])
-    print(f"{way:22} {decibels(np.mean(errors)):6.2f} dB  flicker {np.mean(flickers):6.2f}  {taken:8.2f} ms a frame, "
-          f"{1000 / taken:.0f} frames a second on {chosen.device}")
+    print(f"{way:22} {decibels(np.mean(errors)):6.2f} dB  flicker {np.mean(flickers):6.2f}  {shader.taken:8.2f} ms a "
+          f"frame, {1000 / shader.taken:.0f} frames a second on {chosen.device}")
 
-views = [path for path in sorted(chosen.views.glob("view.1?????.npz"))] if chosen.views else []
+views = [path for path in sorted(chosen.views.glob("held.????.npz"))] if chosen.views else []
 errors, noises, equals, shaders, stacked = {way: [] for way in WAYS}, [], [], {}, []
 for path in views:
     view = dict(np.load(path))
@@ -156,7 +160,7 @@ if views:
         print(f"{way:22} {decibels(found.mean()):6.2f} dB, without the noise {decibels(found.mean() - noise):6.2f}; "
               f"views from {decibels(found.max()):.2f} to {decibels(found.min()):.2f}")
     for kind, shader in shaders.items():
-        print(f"{kind}: {statistics.median(shader.times[2:]):.2f} ms")
+        print(f"{kind}: {shader.taken:.2f} ms")
 if equals:
     print(f"equivalent samples: {np.mean(equals):.1f}, from {min(equals):.1f} to {max(equals):.1f}")
 

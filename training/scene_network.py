@@ -1,15 +1,11 @@
 """Networks that know one scene: a U-Net from planes to shaded frames, with and without history or one noisy sample.
 
-    python -m training.scene_network render FOLDER [--variant cuda_ad_rgb]       needs Mitsuba
-    python -m training.scene_network train FOLDER MODELS                         needs torch, onnx
+    python -m training.datagen.make_sample views VIEWS
+    python -m training.scene_network VIEWS MODELS
 
-`render` draws cameras all over the room of samples/room and renders them: views to learn from and held-out views,
-which have more samples, references of two independent halves, and the means of up to 1024 independent one-sample
-images. Several processes can share the work (--part 0/4), and existing files are kept.
-
-`train` trains three networks of the same shape and writes each as ONNX with weights in half precision:
-shading.onnx from planes alone; temporal.onnx, which begins with those weights, from planes and its own previous state;
-amplifier.onnx from planes and colour of one sample a pixel. `samples/scene_network.py` runs and measures them.
+Trains three networks of the same shape and writes each as ONNX with weights in half precision: shading.onnx from planes
+alone; temporal.onnx, which begins with those weights, from planes and its own previous state; amplifier.onnx, which
+begins with them, too, from planes and colour of one sample a pixel. `samples/scene_network.py` runs and measures them.
 
 The networks read first-hit planes of one sample a pixel, and the camera: from them, the graph finds each pixel's place
 in the room, and where the mirrored view ray leaves the room's box (Lagarde and Zanuttini 2012), both with Fourier
@@ -33,14 +29,6 @@ from torch.nn import functional as F
 WIDTHS = (48, 64, 96, 112)
 BANDS, BOX_BANDS = 6, 5
 EMITTER = 0.005
-FRAMES = 4
-"""Frames of a view, the last of which has a reference."""
-COLOURS = 8
-"""Independent one-sample renders of that frame."""
-TOGETHER = 16
-"""One-sample images that are rendered in one go."""
-HELD_OUT = 100_000
-"""Number of the first held-out view."""
 INPUTS = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "camera")
 KINDS = {"shading": (), "temporal": ("motion", "before"), "amplifier": ("colour",)}
 """What each network reads beyond INPUTS."""
@@ -48,94 +36,6 @@ STATE = 7
 """Numbers of a pixel that `temporal` hands to the next frame: light, place, and 1."""
 NEAR = 0.01
 """Distance of a place from the plane of the surface it is history of, in metres and in shares of the depth, at most."""
-
-
-# Rendering ----------------------------------------------------------------------------------------------------------
-
-def draw_pose(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Eye and target of a camera in the room of samples/room, and how both move in a frame; (2, 2, 3)."""
-    eye = rng.uniform((-2.3, 0.5, -2.2), (2.3, 2.3, 2.8))
-    target = rng.uniform((-2.0, 0.1, -2.9), (2.0, 1.9, 2.0))
-    while np.linalg.norm(target - eye) < 1.2:
-        target = rng.uniform((-2.0, 0.1, -2.9), (2.0, 1.9, 2.0))
-    return np.stack([eye, target]), rng.normal(0, (0.02, 0.008, 0.02), (2, 3))
-
-
-def render(args: argparse.Namespace) -> None:
-    """Write view.NNNNNN.npz, one a camera."""
-    import mitsuba as mi
-
-    mi.set_variant(args.variant)
-    from training.datagen.clip import Style, film_of, filter_table, plane_images, radical_inverse
-    from training.datagen.scenes.build import BuiltScene
-    from training.datagen.scenes.motion import Camera, look_at
-    from training.datagen.scenes.room import sample_room
-    from training.datagen.tracing import Tracer
-    from training.measure.equivalent_samples import prefix_counts
-
-    tracer, built, size, table = Tracer(), BuiltScene(sample_room()), tuple(args.size), filter_table("box")
-    aspect, pixels, began = size[0] / size[1], size[0] * size[1], time.monotonic()
-    args.folder.mkdir(parents=True, exist_ok=True)
-
-    def view(number: int, spp: int, stack: int) -> dict[str, np.ndarray]:
-        rng = np.random.default_rng(number)
-        while True:
-            pose, step = draw_pose(rng)
-            cameras = [Camera(look_at(*(pose + k * step)), 66.0) for k in range(-1, FRAMES)]
-            start, now = int(rng.integers(64)), float(rng.uniform(0, 8))
-            jitter = np.float32([[radical_inverse(start + k, 2), radical_inverse(start + k, 3)]
-                                 for k in range(FRAMES)]) - 0.5
-            style, frames = Style("realtime", 1, jitter), []
-            for k in range(FRAMES):
-                built.move(now + k, now + k - 1)
-                film = film_of(size, style.offsets(k, pixels, rng))
-                frames.append(plane_images(tracer, built, (cameras[k + 1], cameras[k]), size, style, film))
-            if np.percentile(frames[-1]["depth"], 4) > 0.4:
-                break
-        made = {name: np.stack([frame[name].reshape(size[1], size[0], -1) for frame in frames]) for name in frames[0]}
-        made["camera"] = np.stack([camera_vector(camera.to_world, camera.fov, aspect, jitter[k])
-                                   for k, camera in enumerate(cameras[1:])])
-
-        def ones(count: int, offsets: np.ndarray) -> np.ndarray:
-            """Independent one-sample images (count, H, W, 3)."""
-            film = film_of(size, offsets)
-            light = tracer.noisy(built.scene, cameras[-1], aspect, film, 1, int(rng.integers(1 << 31)))
-            return np.moveaxis(light.reshape(size[1], size[0], count, 3), 2, 0)
-
-        made["colour"] = ones(COLOURS, np.tile(0.5 + jitter[-1], (pixels, COLOURS, 1)).astype(np.float32))
-        halves = [tracer.reference(built.scene, cameras[-1], size, table, spp // 2, int(rng.integers(1 << 31)))
-                  for _ in range(2)]
-        if stack:
-            counts, means, total = prefix_counts(stack), [], np.zeros((size[1], size[0], 3))
-            for first in range(0, stack, TOGETHER):
-                for n, image in enumerate(ones(TOGETHER, rng.random((pixels, TOGETHER, 2), np.float32)), first + 1):
-                    total += image
-                    means += [total / n] if n in counts else []
-            made |= {"counts": np.array(counts), "means": np.float32(means)}
-        half = {name: np.clip(value, -65504, 65504).astype(np.float16) for name, value in made.items()
-                if name not in ("depth", "camera", "counts", "means")}
-        return made | half | {"reference_a": halves[0], "reference_b": halves[1]}
-
-    part, parts = (int(word) for word in args.part.split("/"))
-    wanted = [(HELD_OUT + k, args.held_spp, args.stack if k < args.stacks else 0) for k in range(args.held_out)]
-    for number, spp, stack in (wanted + [(k, args.spp, 0) for k in range(args.views)])[part::parts]:
-        path = args.folder / f"view.{number:06d}.npz"
-        if time.monotonic() - began > args.seconds:
-            break
-        if not path.exists():
-            found = view(number, spp, stack)
-            np.savez(path.with_suffix(".partial.npz"), **found)
-            path.with_suffix(".partial.npz").replace(path)
-            one, other = (to_codes(torch.from_numpy(found[name])) for name in ("reference_a", "reference_b"))
-            print(f"{path.name}: noise of {-10 * math.log10(float((one - other).square().mean()) / 4):.1f} dB, "
-                  f"{time.monotonic() - began:.0f} s", flush=True)
-
-
-def camera_vector(to_world: np.ndarray, fov: float, aspect: float, jitter: np.ndarray) -> np.ndarray:
-    """The argument `camera`, (16,): its axes to the left, up and forwards and its place in the world, the tangents of
-    half the field of view across and down, and the jitter in pixels."""
-    tangent = np.tan(np.radians(fov) / 2)
-    return np.float32([*to_world[:3, :4].T.ravel(), tangent, tangent / aspect, *jitter])
 
 
 # The network --------------------------------------------------------------------------------------------------------
@@ -336,10 +236,11 @@ class Views:
             every = list(pool.map(load, paths))
         self.tensors = {name: torch.from_numpy(np.stack([one[name] for one in every])).to(device).float()
                         for name in every[0]}
-        self.count, _, self.height, self.width, _ = self.tensors["depth"].shape
+        self.count, self.frames, self.height, self.width, _ = self.tensors["depth"].shape
+        self.colours = self.tensors["colour"].shape[1]
         self.device = device
         cameras = self.tensors["camera"]
-        flat = [rays(cameras[:, k], self.height, self.width).permute(0, 2, 3, 1) for k in range(FRAMES)]
+        flat = [rays(cameras[:, k], self.height, self.width).permute(0, 2, 3, 1) for k in range(self.frames)]
         self.tensors["ray"] = torch.stack(flat, 1).contiguous()
 
     def box(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -355,7 +256,7 @@ class Views:
         rows = picked[:, 1, None, None] + torch.arange(size[0], device=self.device)[None, :, None]
         columns = picked[:, 2, None, None] + torch.arange(size[1], device=self.device)[None, None, :]
         made = []
-        for frame in range(FRAMES - last, FRAMES):
+        for frame in range(self.frames - last, self.frames):
             planes = {name: self.tensors[name][view, frame, rows, columns].permute(0, 3, 1, 2)
                       for name in (*INPUTS[:-1], "motion", "ray")}
             made.append(planes | {"camera": self.tensors["camera"][picked[:, 0], frame]})
@@ -406,13 +307,13 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
     device, cuda = views.device, views.device == "cuda"
     network.to(device, memory_format=torch.channels_last).train()
     size = min(args.crop, views.height), min(args.crop, views.width)
-    last = FRAMES if network.kind == "temporal" else 1
+    last = views.frames if network.kind == "temporal" else 1
     batch = max(1, args.batch // (2 if last > 1 else 1))
     step_size = torch.tensor(rate, device=device)
     adam = torch.optim.AdamW(network.parameters(), lr=step_size, betas=(0.9, 0.99), weight_decay=1e-4,
                              capturable=cuda, fused=True)
     random = torch.Generator().manual_seed(0)
-    limits = (views.count, views.height - size[0] + 1, views.width - size[1] + 1, COLOURS)
+    limits = (views.count, views.height - size[0] + 1, views.width - size[1] + 1, views.colours)
     picked, begins = torch.zeros(batch, 4, dtype=torch.int64, device=device), torch.zeros(batch, device=device)
     mean = {name: value.detach().clone() for name, value in network.named_parameters()}
     newest = torch.ones((), device=device)
@@ -420,7 +321,7 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
     def draw() -> None:
         chosen = torch.stack([torch.randint(most, (batch,), generator=random) for most in limits], 1)
         picked.copy_(chosen, non_blocking=True)
-        begins.copy_(torch.randint(0, FRAMES, (batch,), generator=random), non_blocking=True)
+        begins.copy_(torch.randint(0, views.frames, (batch,), generator=random), non_blocking=True)
 
     def step() -> torch.Tensor:
         adam.zero_grad(set_to_none=False)
@@ -487,9 +388,8 @@ def train(args: argparse.Namespace) -> None:
     device = "cuda" if torch.cuda.is_available() else "cpu"
     torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
     torch.manual_seed(0)
-    paths = sorted(path for path in args.folder.glob("view.*.npz") if int(path.stem.split(".")[1]) < HELD_OUT)
     began = time.monotonic()
-    views = Views(paths, device)
+    views = Views(sorted(args.views.glob("view.[0-9]*[0-9].npz")), device)
     print(f"{views.count} views of {views.width}x{views.height}, loaded in {time.monotonic() - began:.0f} s",
           flush=True)
     base = None
@@ -518,33 +418,16 @@ def copy_of(network: SceneNetwork) -> SceneNetwork:
 
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(required=True)
-    one = commands.add_parser("render", help="render the views")
-    one.add_argument("folder", type=Path)
-    one.add_argument("--variant", default="cuda_ad_rgb", help="Mitsuba variant")
-    one.add_argument("--size", type=int, nargs=2, default=(256, 144))
-    one.add_argument("--views", type=int, default=256, help="to learn from")
-    one.add_argument("--spp", type=int, default=128, help="samples a pixel of their references")
-    one.add_argument("--held-out", type=int, default=8)
-    one.add_argument("--held-spp", type=int, default=2048)
-    one.add_argument("--stacks", type=int, default=4, help="held-out views with a stack of one-sample images")
-    one.add_argument("--stack", type=int, default=1024, help="images of a stack, a multiple of 16")
-    one.add_argument("--part", default="0/1", help="this process's part of the views, such as 0/4")
-    one.add_argument("--seconds", type=float, default=1e9, help="begin no view after this time")
-    one.set_defaults(act=render)
-    two = commands.add_parser("train", help="train the networks")
-    two.add_argument("folder", type=Path)
-    two.add_argument("models", type=Path)
-    two.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
-    two.add_argument("--start", type=Path, help="folder of networks to go on from")
-    two.add_argument("--seconds", type=float, default=55, help="of the first network; the others take 3/4 of that")
-    two.add_argument("--steps", type=int, default=10**9, help="at most")
-    two.add_argument("--batch", type=int, default=16)
-    two.add_argument("--crop", type=int, default=128)
-    two.add_argument("--report", type=int, default=500)
-    two.set_defaults(act=train)
-    args = parser.parse_args(argv)
-    args.act(args)
+    parser.add_argument("views", type=Path, help="folder of view.NNNN.npz")
+    parser.add_argument("models", type=Path, help="folder to write to")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--start", type=Path, help="folder of networks to go on from")
+    parser.add_argument("--seconds", type=float, default=55, help="of the first network; the others take 3/4 of that")
+    parser.add_argument("--steps", type=int, default=10**9, help="at most")
+    parser.add_argument("--batch", type=int, default=16)
+    parser.add_argument("--crop", type=int, default=128)
+    parser.add_argument("--report", type=int, default=500, help="steps between two lines of progress")
+    train(parser.parse_args(argv))
 
 
 if __name__ == "__main__":

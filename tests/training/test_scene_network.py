@@ -18,9 +18,8 @@ from tests.training.llvm import require_mitsuba
 torch = pytest.importorskip("torch")
 require_mitsuba()
 
+from training.datagen import make_sample  # noqa: E402
 from training.scene_network import (  # noqa: E402
-    FRAMES,
-    HELD_OUT,
     STATE,
     SceneNetwork,
     Views,
@@ -31,25 +30,24 @@ from training.scene_network import (  # noqa: E402
 )
 
 SAMPLES = Path(__file__).parents[2] / "samples"
-HELD = f"view.{HELD_OUT:06d}.npz"
 
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two views to learn from, and one that is held out."""
     folder = tmp_path_factory.mktemp("views")
-    main(["render", str(folder), "--variant", "llvm_ad_rgb", "--size", "48", "32", "--views", "2", "--spp", "4",
-          "--held-out", "1", "--held-spp", "64", "--stack", "16"])
+    make_sample.main(["views", str(folder), "--width", "48", "--height", "32", "--views", "2", "--spp", "4",
+                      "--held-out", "1", "--held-spp", "64", "--stack", "16"])
     return folder
 
 
 @pytest.fixture(scope="module")
 def views(rendered: Path) -> Views:
-    return Views(sorted(rendered.glob("view.*.npz")), "cpu")
+    return Views(sorted(rendered.glob("*.npz")), "cpu")
 
 
 def test_more_samples_are_nearer_to_the_reference(rendered: Path) -> None:
-    view = dict(np.load(rendered / HELD))
+    view = dict(np.load(rendered / "held.0000.npz"))
     truth = (view["reference_a"] + view["reference_b"]) / 2
     errors = [np.mean((np.tanh(mean.astype(float)) - np.tanh(truth)) ** 2) for mean in view["means"]]
     assert view["counts"][0] == 1 and view["counts"][-1] == 16 and errors[-1] < errors[0] / 4
@@ -60,7 +58,8 @@ def test_places_lie_in_the_room_and_motion_leads_back_to_them(views: Views) -> N
     """To the plane of the surface, as pixels of two frames are not at the same points of it."""
     network = SceneNetwork("temporal", *views.box())
     np.testing.assert_allclose(network.high - network.low, [5.2, 2.8, 6.0], atol=1.5)
-    frames = views.crops(torch.tensor([[k, 0, 0, 0] for k in range(views.count)]), (views.height, views.width), FRAMES)
+    frames = views.crops(torch.tensor([[k, 0, 0, 0] for k in range(views.count)]), (views.height, views.width),
+                         views.frames)
     states = []
     for frame in frames[-2:]:
         place = network.features(frame, frame["ray"])[1]
@@ -98,7 +97,7 @@ def test_a_network_is_trained_and_runs_in_a_command_buffer(rendered: Path, tmp_p
     pytest.importorskip("flip_evaluator")
     for kind in ("shading", "amplifier"):
         shutil.copy(SAMPLES / "room" / f"{kind}.onnx", tmp_path)
-    main(["train", str(rendered), str(tmp_path), "--kinds", "temporal", "--start", str(SAMPLES / "room"), "--steps",
+    main([str(rendered), str(tmp_path), "--kinds", "temporal", "--start", str(SAMPLES / "room"), "--steps",
           "2", "--batch", "2", "--crop", "32"])
     learnt, before = (restored(SceneNetwork("temporal", torch.zeros(3), torch.ones(3)), folder / "temporal.onnx")
                       for folder in (tmp_path, SAMPLES / "room"))

@@ -17,8 +17,7 @@ import numpy as np
 
 from postfx.bench.job import Bench, Request
 from postfx.bench.measure import Sources
-from training.datagen.clip_export import frame_header, write_exr
-from training.datagen.clip_file import GUIDES
+from training.datagen.clip_file import GUIDES, frame_header, write_exr
 from training.measure.validation.clips import FULL, HALF, load
 
 # Measurements ---------------------------------------------------------------------------------------------------------

@@ -10,8 +10,17 @@ import pytest
 
 import postfx
 from postfx.frame import Role
-from training.datagen.clip_export import CHANNELS, frame_header, guide_planes, main, write_exr
-from training.datagen.clip_file import GUIDES, exposure_of, half_depth, save_clip
+from training.datagen.clip_file import (
+    CHANNELS,
+    GUIDES,
+    exposure_of,
+    frame_header,
+    guide_planes,
+    half_depth,
+    main,
+    save_clip,
+    write_exr,
+)
 
 
 def planes(rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -66,6 +75,6 @@ def test_a_sheet_shows_one_row_a_clip(tmp_path: Path, monkeypatch: pytest.Monkey
     facts = {"scale": 1.0, "seed": 0, "scene": "test", "meta": {}}
     for number in range(3):
         save_clip(tmp_path / f"clip.{number:05d}.npz", variant["colour"], [variant], facts)
-    monkeypatch.setattr("sys.argv", ["clip_export", "sheet", str(tmp_path), str(tmp_path / "a.png"), "--size", "16"])
+    monkeypatch.setattr("sys.argv", ["clip_file", "sheet", str(tmp_path), str(tmp_path / "a.png"), "--size", "16"])
     main()
     assert oiio.ImageBuf(str(tmp_path / "a.png")).spec().height == 3 * 16
