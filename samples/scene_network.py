@@ -88,7 +88,7 @@ def error_of(light: np.ndarray, other: np.ndarray) -> float:
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "scene_network.png")
-parser.add_argument("--models", type=Path, default=ROOM, help="folder of the networks")
+parser.add_argument("--models", type=Path, default=ROOM, help="folder of the networks, or of some of them")
 parser.add_argument("--noisy", default=str(ROOM / "noisy.####.exr"), help="whose planes are read")
 parser.add_argument("--reference", default=str(ROOM / "reference.####.exr"))
 parser.add_argument("--views", type=Path, help="folder of held-out views, held.NNNN.npz")
@@ -104,7 +104,8 @@ size = frames[0][Role.DEPTH].shape[:2]
 truths = [frame[Role.COLOUR].reshape(size[0], -1, size[1], frame[Role.COLOUR].shape[1] // size[1], 3).mean((1, 3))
           for frame in postfx.read_sequence(chosen.reference)]
 print(f"{len(frames)} frames of {size[1]}x{size[0]}: {chosen.noisy}")
-for way in WAYS[:3]:
+ways = [way for way in WAYS if way.split(",")[0] in library.names()]
+for way in [way for way in ways if way != "amplifier"]:
     shader, errors, flickers, before = Shader(device, library, way.split(",")[0], size), [], [], None
     for frame, truth in zip(frames, truths, strict=True):
         if "no history" in way or frame.reset:
@@ -115,14 +116,14 @@ for way in WAYS[:3]:
         if before:
             flickers.append(flicker(before, now, frame[Role.MOTION]))
         before = now
-    pictures += [("reference", truth)] * (way == WAYS[0]) + [(f"{way}, {decibels(errors[-1]):.1f} dB", found)]
+    pictures += [("reference", truth)] * (way == ways[0]) + [(f"{way}, {decibels(errors[-1]):.1f} dB", found)]
     for _ in range(chosen.runs):
         shader(planes_of(frame))
     print(f"{way:22} {decibels(np.mean(errors)):6.2f} dB  flicker {np.mean(flickers):6.2f}  {shader.taken:8.2f} ms a "
           f"frame, {1000 / shader.taken:.0f} frames a second on {chosen.device}")
 
 views = [path for path in sorted(chosen.views.glob("held.????.npz"))] if chosen.views else []
-errors, noises, equals, shaders, stacked = {way: [] for way in WAYS}, [], [], {}, []
+errors, noises, equals, shaders, stacked = {way: [] for way in ways}, [], [], {}, []
 for path in views:
     view = dict(np.load(path))
     halves, size = (view["reference_a"], view["reference_b"]), view["depth"].shape[1:3]
@@ -130,20 +131,21 @@ for path in views:
     noises.append(error_of(*halves) / 4)
     moments = [{name: view[name][k] for name in ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth",
                                                  "motion", "camera")} for k in range(len(view["depth"]))]
-    for way in WAYS:
+    for way in ways:
         kind = way.split(",")[0]
         shaders[kind] = shader = shaders.get(kind) or Shader(device, library, kind, size)
         shader.forget()
         if way == "temporal":
             for planes in moments[:-1]:
                 shader(planes)
-        results = [shader(moments[-1] | {"colour": colour}) for colour in view["colour"][:8 if kind == WAYS[3] else 1]]
+        colours = view["colour"] if kind == "amplifier" else view["colour"][:1]
+        results = [shader(moments[-1] | {"colour": colour}) for colour in colours]
         errors[way].append(float(np.mean([error_of(one, truth) for one in results])))
         if path == views[0]:
-            pictures += [("held-out view: reference", truth)] * (way == WAYS[0])
-            pictures += [("one sample a pixel", view["colour"][0])] * (way == WAYS[3])
+            pictures += [("held-out view: reference", truth)] * (way == ways[0])
+            pictures += [("one sample a pixel", view["colour"][0])] * (kind == "amplifier")
             pictures += [(f"{way}, {decibels(errors[way][-1]):.1f} dB", results[0])] * ("no" not in way)
-    if "means" in view:  # where the falling error of the means of n images is that of the amplifier
+    if "means" in view and "amplifier" in errors:  # where the error of the mean of n images is that of the amplifier
         curve = np.array([error_of(mean, truth) - noises[-1] for mean in view["means"].astype(np.float32)])
         own = errors["amplifier"][-1] - noises[-1]
         stacked.append((own, curve[-1]))
@@ -155,7 +157,7 @@ for path in views:
 if views:
     noise = float(np.mean(noises))
     print(f"{len(views)} held-out views of {size[1]}x{size[0]}; the references' noise is {decibels(noise):.1f} dB")
-    for way in WAYS:
+    for way in ways:
         found = np.array(errors[way])
         print(f"{way:22} {decibels(found.mean()):6.2f} dB, without the noise {decibels(found.mean() - noise):6.2f}; "
               f"views from {decibels(found.max()):.2f} to {decibels(found.min()):.2f}")

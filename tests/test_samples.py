@@ -301,6 +301,6 @@ def test_every_script_is_run_here():
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
              "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py", "time_model.py",
-             "neural_material.py", "neural_shading.py", "display.py", "reflections.py", "detail.py",
+             "neural_material.py", "neural_shading.py", "scene_network.py", "display.py", "reflections.py", "detail.py",
              "site_pictures.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

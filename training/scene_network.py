@@ -3,7 +3,8 @@
     python -m training.datagen.make_sample views VIEWS
     python -m training.scene_network VIEWS MODELS
 
-Trains three networks of the same shape and writes each as ONNX with weights in half precision: shading.onnx from planes
+Trains three networks of the same shape and writes each with weights in half precision, as PyTorch's for --start and as
+ONNX: shading.onnx from planes
 alone; temporal.onnx, which begins with those weights, from planes and its own previous state; amplifier.onnx, which
 begins with them, too, from planes and colour of one sample a pixel. `samples/scene_network.py` runs and measures them.
 
@@ -15,7 +16,6 @@ features (Tancik 2020). What they give is the logarithm of light without reflect
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ NEAR = 0.01
 
 def to_codes(light: torch.Tensor) -> torch.Tensor:
     """Light as codes 0..1: x/(1+x) and the sRGB curve."""
-    x = light.clamp(min=0) / (1 + light.clamp(min=0))
+    x = light.clamp(min=0.0) / (1 + light.clamp(min=0.0))
     return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp(min=1e-6) ** (1 / 2.4) - 0.055)
 
 
@@ -116,7 +116,7 @@ class SceneNetwork(nn.Module):
         mirrored = way - 2 * (way * normal).sum(1, keepdim=True) * normal
         slope = mirrored / half
         slope = torch.where(slope.abs() < 1e-5, torch.full_like(slope, 1e-5), slope)
-        reach = ((slope.sign() - place) / slope).amin(1, keepdim=True).clamp(min=0)
+        reach = ((slope.sign() - place) / slope).amin(1, keepdim=True).clamp(min=0.0)
         leaves = (place + reach * slope).clamp(-1.5, 1.5)
         roughness = x["roughness"]
         albedo = torch.cat([x["diffuse_albedo"], x["specular_albedo"]], 1)
@@ -141,10 +141,8 @@ class SceneNetwork(nn.Module):
                 kept.append(x)
                 x = F.relu(encode(F.relu(down(x))))
             for level in reversed(range(len(self.ups))):
-                fine = kept[level]
-                x = F.interpolate(self.ups[level](x), scale_factor=2.0, mode="nearest")
-                x = x[:, :, :fine.shape[2], :fine.shape[3]] + fine
-                x = F.relu(self.decoders[level](x))
+                x = F.interpolate(self.ups[level](x), kept[level].shape[2:], mode="nearest")
+                x = F.relu(self.decoders[level](x + kept[level]))
         return self.last(x.float())
 
     def forward(self, x: dict[str, torch.Tensor], ray: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
@@ -153,18 +151,18 @@ class SceneNetwork(nn.Module):
         shine = reflectance(x["diffuse_albedo"], x["specular_albedo"])
         if self.kind == "shading":
             light = F.softplus(self.body(features))
-            return shine * torch.expm1(light.clamp(max=12)), None
+            return shine * torch.expm1(light.clamp(max=12.0)), None
         if self.kind == "amplifier":
             noisy = torch.log1p(x["colour"].clamp(0.0, 6e4) / shine) / 3
             light = F.softplus(self.body(torch.cat([features, noisy], 1)))
-            return shine * torch.expm1(light.clamp(max=12)), None
+            return shine * torch.expm1(light.clamp(max=12.0)), None
         before = warp(x["before"], x["motion"])
         same = self.same_surface(before, place, x)
         past = torch.where(same, before[:, :3], torch.zeros_like(before[:, :3]))
         found = self.body(torch.cat([features, past / 3, same.float()], 1))
         share = torch.sigmoid(found[:, 3:]) * same
         light = torch.lerp(F.softplus(found[:, :3]), past, share)
-        return shine * torch.expm1(light.clamp(max=12)), torch.cat([light, place, torch.ones_like(share)], 1)
+        return shine * torch.expm1(light.clamp(max=12.0)), torch.cat([light, place, torch.ones_like(share)], 1)
 
 
 def warp(image: torch.Tensor, motion: torch.Tensor) -> torch.Tensor:
@@ -196,14 +194,13 @@ class Exported(nn.Module):
 
 def save(network: SceneNetwork, path: Path) -> None:
     """Write ONNX with weights rounded to half precision, which changes the network."""
-    import onnx
     from torch.export import Dim
 
     from training.export import export, parity
 
     with torch.no_grad():
-        for weight in network.parameters():
-            weight.copy_(weight.half().float())
+        for kept in network.state_dict().values():
+            kept.copy_(kept.half().float())
     module, random = Exported(network.cpu().eval()), torch.Generator().manual_seed(0)
     channels = {"roughness": 1, "depth": 1, "motion": 2, "before": STATE}
     examples = [torch.rand(16, generator=random) if name == "camera" else
@@ -211,10 +208,7 @@ def save(network: SceneNetwork, path: Path) -> None:
     free = [None if name == "camera" else {0: Dim.DYNAMIC, 1: Dim.DYNAMIC} for name in module.reads]
     names = {name: (16,) if name == "camera" else ("height", "width", channels.get(name, 3)) for name in module.reads}
     names |= {"shaded": ("height", "width", 3), "after": ("height", "width", STATE)}
-    model = export(module, examples, module.reads, module.writes, path, [tuple(free)], names)
-    box = {"box": json.dumps([network.low.tolist(), network.high.tolist()])}
-    onnx.helper.set_model_props(model, box)
-    path.write_bytes(model.SerializeToString(deterministic=True))
+    export(module, examples, module.reads, module.writes, path, [tuple(free)], names)
     parity(module, path, examples, {"height": 24, "width": 40})
 
 
@@ -368,21 +362,6 @@ def begun_with(network: SceneNetwork, other: SceneNetwork) -> SceneNetwork:
     return network
 
 
-def restored(network: SceneNetwork, path: Path) -> SceneNetwork:
-    """The network with the weights and the box of an ONNX file that `save` wrote."""
-    import onnx
-
-    model = onnx.load(path)
-    held = {one.name.removesuffix("_half"): onnx.numpy_helper.to_array(one).astype(np.float32)
-            for one in model.graph.initializer}
-    with torch.no_grad():
-        for name, value in network.named_parameters():
-            value.copy_(torch.from_numpy(held[f"network.{name}"]))
-        for kept, corner in zip((network.low, network.high), json.loads(model.metadata_props[0].value), strict=True):
-            kept.copy_(torch.tensor(corner))
-    return network
-
-
 def train(args: argparse.Namespace) -> None:
     """Write the networks."""
     device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -398,7 +377,7 @@ def train(args: argparse.Namespace) -> None:
             continue
         network = SceneNetwork(kind, *views.box())
         if args.start:
-            network = restored(network, args.start / f"{kind}.onnx")
+            network.load_state_dict(torch.load(args.start / f"{kind}.pt"))
         elif base is not None:
             network = begun_with(network, base)
         began = time.monotonic()
@@ -406,6 +385,9 @@ def train(args: argparse.Namespace) -> None:
         print(f"{kind}: {time.monotonic() - began:.0f} s", flush=True)
         if kind == "shading":
             base = network
+        args.models.mkdir(parents=True, exist_ok=True)
+        torch.save({name: value.half().cpu() for name, value in network.state_dict().items()},
+                   args.models / f"{kind}.pt")
         save(copy_of(network), args.models / f"{kind}.onnx")
 
 
@@ -421,7 +403,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("views", type=Path, help="folder of view.NNNN.npz")
     parser.add_argument("models", type=Path, help="folder to write to")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
-    parser.add_argument("--start", type=Path, help="folder of networks to go on from")
+    parser.add_argument("--start", type=Path, help="folder of KIND.pt to go on from; with --steps 0 only exports them")
     parser.add_argument("--seconds", type=float, default=55, help="of the first network; the others take 3/4 of that")
     parser.add_argument("--steps", type=int, default=10**9, help="at most")
     parser.add_argument("--batch", type=int, default=16)

@@ -51,10 +51,12 @@ class Library:
                 return folder / f"{name}.onnx"
         where = ", ".join(str(folder) for folder in self.folders)
         known = self.names()
+        if not known:
+            raise ModelError(f"no model '{name}' in {where}: no *.onnx is there")
         alike = [other for other in known if other.split(".")[0] == name.split(".")[0]] or known
         tags = {other.partition(".")[2] for other in alike}
         meant = suggest(name.partition(".")[2], tags) if name.split(".")[0] in alike[0] else ""
-        raise ModelError(f"no model '{name}' in {where}{meant or ':'} there are {', '.join(alike) or 'none'}")
+        raise ModelError(f"no model '{name}' in {where}{meant or ':'} there are {', '.join(alike)}")
 
     def card(self, name: str) -> dict[str, Any]:
         """The model's card, empty when it has none. Raises ModelError when the card is not a JSON object."""

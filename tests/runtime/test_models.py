@@ -25,6 +25,11 @@ def test_unknown_model_lists_those_there_are(library):
         library.path("tripple")
 
 
+def test_a_folder_without_models(tmp_path):
+    with pytest.raises(ModelError, match=r"no model 'double' in .*: no \*\.onnx is there"):
+        Library(tmp_path).load("double")
+
+
 def test_missing_folder(tmp_path):
     with pytest.raises(ModelError, match="nowhere' does not exist"):
         Library(tmp_path / "nowhere")
