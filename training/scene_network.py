@@ -3,10 +3,10 @@
     python -m training.datagen.make_sample views VIEWS
     python -m training.scene_network VIEWS MODELS
 
-Trains three networks of the same shape and writes each with weights in half precision, as PyTorch's for --start and as
-ONNX: shading.onnx from planes
-alone; temporal.onnx, which begins with those weights, from planes and its own previous state; amplifier.onnx, which
-begins with them, too, from planes and colour of one sample a pixel. `samples/scene_network.py` runs and measures them.
+Trains three networks of the same shape, and writes their weights in half precision, as PyTorch's for --start and as
+ONNX: shading.onnx from planes alone; temporal.onnx from planes and its own previous state; amplifier.onnx from planes
+and colour of one sample a pixel. These two begin with the weights of MODELS/shading.pt, if it is there.
+`samples/scene_network.py` runs and measures them.
 
 The networks read first-hit planes of one sample a pixel, and the camera: from them, the graph finds each pixel's place
 in the room, and where the mirrored view ray leaves the room's box (Lagarde and Zanuttini 2012), both with Fourier
@@ -371,21 +371,20 @@ def train(args: argparse.Namespace) -> None:
     views = Views(sorted(args.views.glob("view.[0-9]*[0-9].npz")), device)
     print(f"{views.count} views of {views.width}x{views.height}, loaded in {time.monotonic() - began:.0f} s",
           flush=True)
-    base = None
+    args.models.mkdir(parents=True, exist_ok=True)
     for kind, share, rate in (("shading", 1.0, 2e-3), ("amplifier", 0.75, 1.5e-3), ("temporal", 0.75, 1e-3)):
         if kind not in args.kinds:
             continue
-        network = SceneNetwork(kind, *views.box())
+        network, base = SceneNetwork(kind, *views.box()), args.models / "shading.pt"
         if args.start:
             network.load_state_dict(torch.load(args.start / f"{kind}.pt"))
-        elif base is not None:
-            network = begun_with(network, base)
+        elif kind != "shading" and base.exists():
+            other = SceneNetwork("shading", *views.box())
+            other.load_state_dict(torch.load(base))
+            network = begun_with(network, other)
         began = time.monotonic()
         network = fit(network, views, args, args.seconds * share, rate)
         print(f"{kind}: {time.monotonic() - began:.0f} s", flush=True)
-        if kind == "shading":
-            base = network
-        args.models.mkdir(parents=True, exist_ok=True)
         torch.save({name: value.half().cpu() for name, value in network.state_dict().items()},
                    args.models / f"{kind}.pt")
         save(copy_of(network), args.models / f"{kind}.onnx")
