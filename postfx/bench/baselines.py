@@ -31,6 +31,7 @@ class Oidn:
         quality: 'fast', 'balanced' or 'high'.
         device: 'cpu' or 'cuda'.
         threads: CPU threads.
+        prefilter: whether OIDN denoises albedo and normal first, as its guide advises for noisy ones.
 
     Attributes:
         milliseconds: total time in the filter, without copies to and from the device.
@@ -39,24 +40,26 @@ class Oidn:
     Raises BenchError if pyoidn is not installed or OIDN cannot run on the device.
     """
 
-    def __init__(self, quality: str, device: str, threads: int) -> None:
+    def __init__(self, quality: str, device: str, threads: int, prefilter: bool = False) -> None:
         require("pyoidn", "pyoidn", "runs Open Image Denoise")
         self._oidn: Any = import_module("pyoidn")
         self._quality = getattr(self._oidn, f"OIDN_QUALITY_{quality.upper()}")
         self._device = self._new_device(device, threads)
         self._images: dict[str, Any] = {}
-        self._filter: Any = None
+        self._prefilter = prefilter
+        self._filters: list[Any] = []
         self.milliseconds = 0.0
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Denoised colour (h, w, 3) of a frame."""
         planes = _planes(frame)
-        if self._filter is None:
+        if not self._filters:
             self._prepare(planes)
         for name, plane in planes.items():
             self._images[name].write(0, plane.nbytes, plane)
         begin = time.perf_counter()
-        self._filter.execute()
+        for one in self._filters:
+            one.execute()
         self._device.wait()
         self.milliseconds += 1e3 * (time.perf_counter() - begin)
         self._check()
@@ -75,17 +78,20 @@ class Oidn:
         return device
 
     def _prepare(self, planes: dict[str, np.ndarray]) -> None:
-        """Filter and images, which later frames of the same size use again."""
-        height, width = planes["color"].shape[:2]
-        self._filter = self._oidn.Filter(self._device, self._oidn.OIDN_FILTER_TYPE_RT)
-        for name in (*planes, "output"):
-            image = self._oidn.Buffer(self._device, planes["color"].nbytes, self._oidn.OIDN_STORAGE_DEVICE)
-            self._filter.set_image(name, image, self._oidn.OIDN_FORMAT_FLOAT3, width, height)
-            self._images[name] = image
-        self._filter.set_bool("hdr", True)
-        self._filter.set_bool("cleanAux", "albedo" in planes)
-        self._filter.set_quality(self._quality)
-        self._filter.commit()
+        """Filters and images, which later frames of the same size use again."""
+        self._images = {name: self._oidn.Buffer(self._device, planes["color"].nbytes, self._oidn.OIDN_STORAGE_DEVICE)
+                        for name in (*planes, "output")}
+        alone = [name for name in planes if name != "color"] if self._prefilter else []
+        for images in (*({name: name, "output": name} for name in alone), {name: name for name in self._images}):
+            made = self._oidn.Filter(self._device, self._oidn.OIDN_FILTER_TYPE_RT)
+            for name, image in images.items():
+                made.set_image(name, self._images[image], self._oidn.OIDN_FORMAT_FLOAT3, *planes["color"].shape[1::-1])
+            if "color" in images:
+                made.set_bool("hdr", True)
+                made.set_bool("cleanAux", "albedo" in planes)
+            made.set_quality(self._quality)
+            made.commit()
+            self._filters.append(made)
         self._check()
 
     def _check(self) -> None:

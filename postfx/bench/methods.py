@@ -40,6 +40,7 @@ class Method:
         both: whether it uses later frames as well.
         run_up: whether the first frame of a shot gets a run-up.
         quality: quality of OIDN; '' if not used.
+        prefilter: whether OIDN denoises its albedo and normal first.
         accumulated: whether it accumulates frames at output size along the motion.
         without: names of planes that the network does not get; only in ablations.
     """
@@ -54,6 +55,7 @@ class Method:
     both: bool = False
     run_up: bool = False
     quality: str = ""
+    prefilter: bool = False
     accumulated: bool = False
     without: tuple[str, ...] = ()
 
@@ -76,6 +78,7 @@ OTHERS = (
     Method("oidn-fast", "OIDN fast", "oidn", quality="fast"),
     Method("oidn-balanced", "OIDN balanced", "oidn", quality="balanced"),
     Method("oidn-high", "OIDN high", "oidn", quality="high"),
+    Method("oidn-high-prefiltered", "OIDN high, planes prefiltered", "oidn", quality="high", prefilter=True),
     Method("oidn-high-accumulated", "OIDN high + accumulation", "oidn", quality="high", accumulated=True),
     Method("accumulation", "accumulation", "plain", accumulated=True),
     Method("bicubic", "bicubic", "plain"),
@@ -228,7 +231,9 @@ class Chain:
     def __init__(self, method: Method, device: Device, size: tuple[int, int]) -> None:
         self._height, self._width = size
         self._kernels = HostKernels(device)
-        self._oidn = Oidn(method.quality, device.name.split(":")[0], device.threads) if method.quality else None
+        self._oidn = None
+        if method.quality:
+            self._oidn = Oidn(method.quality, device.name.split(":")[0], device.threads, method.prefilter)
         host = HostKernels(device if device.name == "cpu" else Device("cpu", device.threads))
         self._accumulator = Accumulator(host) if method.accumulated else None
 
