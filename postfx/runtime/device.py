@@ -59,10 +59,12 @@ class Device:
             options of its own, and library=, a plug-in's file or package. Kernels and tensors stay on the CPU, and so
             do nodes that it cannot run; 'auto' then means the CPU.
         convolutions: on a GPU, run networks of convolutions in half precision as kernels of our own instead of by ONNX
-            Runtime. They agree when emulated, but have not been timed on a GPU.
+            Runtime, and keep the denoiser's heads and features in half precision, too. All agrees when emulated, but
+            has not run on a GPU.
 
     Attributes:
         models: name -> SHA-256 of the networks that are loaded, or may be for frames of another size.
+        convolutions: as given.
         results_lock: hold it from commit until the host has read transient results, if several threads commit.
 
     Raises DeviceError when the device is not available or an option does not fit it, MemoryBudgetError for a budget
@@ -92,7 +94,7 @@ class Device:
         if self.scratch:
             self.memory = _within(self.scratch, self.memory, name)
         self.name = name if name != "auto" else self.placement.memory
-        self._compiled, self._convolutions = compiled_kernels, convolutions
+        self._compiled, self.convolutions = compiled_kernels, convolutions
         self._kernels = kernels
         self._compute_states: dict[Kernel, State] = {}
         self.models: dict[str, str] = {}
@@ -227,7 +229,7 @@ class Device:
                                  f"{_text_dims(fixed)}")
         self.name_model(library, name)
         state = PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken)
-        if self._convolutions and self.gpu and self.gpu.convolves and not (state.narrow or in_place):
+        if self.convolutions and self.gpu and self.gpu.convolves and not (state.narrow or in_place):
             try:
                 state.convolve(content, self.gpu, heads or {})
             except Unfit as reason:

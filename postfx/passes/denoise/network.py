@@ -217,7 +217,7 @@ def _table(state: PipelineState, kernel: Kernel, **tensors: Tensor) -> ArgumentT
 
 
 def _is_half(state: PipelineState) -> bool:
-    return f"{PACKED}features" in state.shapes and state.device.gpu is not None
+    return state.device.convolutions and state.device.gpu is not None and f"{PACKED}features" in state.shapes
 
 
 def _kernel_for(kernel: Kernel, half: bool) -> Kernel:
