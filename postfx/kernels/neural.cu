@@ -1,7 +1,7 @@
 // Small networks: see postfx/kernels/neural.py, which says what the tensors hold.
 //
-// A block of 8 warps takes some points at a time through all layers in its shared memory; the weights lie there, too,
-// if there is room. Products are made by tensor cores: each number is a sum of two with 11 bits, and three products of
+// A warp takes 16 or 32 points through all layers in its registers; the weights lie in its block's shared memory, if
+// there is room. Products are made by tensor cores: each number is a sum of two with 11 bits, and three products of
 // these are added up in float32 (Ootomo and Yokota 2022), so that results have float32's precision.
 #ifdef __CUDACC__
 extern __shared__ float memory[];
@@ -20,120 +20,133 @@ __device__ inline void add_product(float (&sums)[4], const unsigned (&left)[4], 
         : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])
         : "r"(left[0]), "r"(left[1]), "r"(left[2]), "r"(left[3]), "r"(right[0]), "r"(right[1]));
 }
-
-// Begin to copy a number into the shared memory, where it is after `wait_for_copies` and a barrier.
-__device__ inline void copy_number(float* to, const float* from) {
-    asm volatile("cp.async.ca.shared.global [%0], [%1], 4;" ::"r"(unsigned(__cvta_generic_to_shared(to))), "l"(from));
-}
-
-__device__ inline void wait_for_copies() {
-    asm volatile("cp.async.wait_all;" ::: "memory");
-}
 #endif
 
-const int NEURAL_POINTS = 64, SLACK = 16;
+const int WARPS = THREADS / 32, TILE = 16, MOST_POINTS = TILE * WARPS;
 
-__device__ inline int padded(int size) {
-    return (size + 7) / 8 * 8;
+__device__ inline int up_to(int size, int unit) {
+    return (size + unit - 1) / unit * unit;
 }
 
-// From one row to the next: the rows of a warp's 8 by 4 numbers lie in different banks.
-__device__ inline int stride_of(int size) {
-    return padded(size) + 4;
+// Rows in shared memory begin at multiples of 32 floats. In row r, column c lies at c ^ turn_of(r): so the numbers that
+// a warp reads at once lie in different banks, be they two columns of 8 rows or 8 columns of 4 rows.
+__device__ inline int turn_of(int row) {
+    return 8 * ((row & 3) ^ (row >> 2 & 1));
 }
 
-// What every block knows of the network, up to each layer: floats of a point in rows of what the layers before it read,
-// of their parameters in the shared memory, and of these in the tensor.
+// What every block knows of the network: sizes; floats before each layer's inputs in a point's rows, before its
+// parameters in the shared memory, and in the tensor; and what the first layer's inputs are made of.
 struct Network {
     int layers, inputs, encoded, bands, activation, widest;
     int size[MOST_LAYERS + 1], rows[MOST_LAYERS + 2], space[MOST_LAYERS + 1], count[MOST_LAYERS + 1];
+    int source[MOST_WIDTH];    // which number of a point
+    float factor[MOST_WIDTH];  // 0 for itself, else half turns for 1; negative for a cosine
 };
+
+// Rows of a layer's weights in the shared memory.
+__device__ inline int height_of(int makes) {
+    return makes <= 8 ? 8 : up_to(makes, 32);
+}
+
+// Floats of these rows.
+__device__ inline int stride_of(int widest) {
+    return widest <= 64 ? 64 : MOST_WIDTH;
+}
 
 __device__ inline void read_network(const View& view, Network& net) {
     const float* const at = view.at;
+    const int inputs = int(at[INPUTS]), encoded = max(int(at[ENCODED]), 1), layers = int(at[LAYERS]);
     if (threadIdx.x == 0) {
-        net.layers = int(at[LAYERS]), net.inputs = int(at[INPUTS]);
-        net.encoded = max(int(at[ENCODED]), 1), net.bands = int(at[BANDS]);
+        net.layers = layers, net.inputs = inputs;
         net.activation = int(at[ACTIVATION]), net.widest = net.rows[0] = net.space[0] = net.count[0] = 0;
-        for (int layer = 0; layer <= net.layers; layer++) {
-            const int size = net.size[layer] = int(at[SIZES + layer]);
-            net.rows[layer + 1] = net.rows[layer] + stride_of(size);
-            net.widest = max(net.widest, stride_of(size));
-            if (layer == 0) continue;
-            const int reads = net.size[layer - 1];
-            net.space[layer] = net.space[layer - 1] + padded(size) * stride_of(reads);
-            net.count[layer] = net.count[layer - 1] + (reads + 1) * size;
+        for (int layer = 0; layer <= MOST_LAYERS; layer++) {
+            net.size[layer] = layer <= layers ? int(at[SIZES + layer]) : 0;
+            net.widest = max(net.widest, net.size[layer]);
+            net.rows[layer + 1] = net.rows[layer] + up_to(net.size[layer], 32);
         }
+        const int stride = stride_of(net.widest);
+        for (int layer = 1; layer <= MOST_LAYERS; layer++) {
+            const int makes = net.size[layer];
+            net.space[layer] = net.space[layer - 1] + (makes ? (height_of(makes) + 1) * stride : 0);
+            net.count[layer] = net.count[layer - 1] + (net.size[layer - 1] + 1) * makes;
+        }
+    }
+    for (int column = threadIdx.x; column < MOST_WIDTH; column += THREADS) {
+        const int pair = max(column - inputs, 0) / 2, band = pair / encoded;
+        const float turns = float(1 << min(band, 30));
+        net.source[column] = column < inputs ? column : pair % encoded;
+        net.factor[column] = column < inputs ? 0.0f : (column - inputs) % 2 ? -turns : turns;
     }
     __syncthreads();
 }
 
-// A layer's parameters, or sums of their gradients: in the shared memory with rows padded by 0 and followed by the
-// bias; elsewhere as the tensor has them.
+// A layer's parameters. In the shared memory rows have `stride` floats, 0 beside the weights, and the last is the bias.
 struct Layer {
-    float *weights, *biases;
-    int reads, makes, stride, step;
+    const float *weights, *biases;
+    int reads, makes;
 };
 
-__device__ inline Layer layer_of(const Network& net, int layer, float* at, bool shared) {
+template <int WIDTH, bool SHARED>
+__device__ inline Layer layer_of(const Network& net, int layer, const float* at) {
     const int reads = net.size[layer], makes = net.size[layer + 1];
-    at += shared ? net.space[layer] : net.count[layer];
-    if (shared) return {at, at + padded(reads), reads, makes, stride_of(reads), stride_of(reads)};
-    return {at, at + reads * makes, reads, makes, reads, 1};
+    at += SHARED ? net.space[layer] : net.count[layer];
+    return {at, at + (SHARED ? height_of(makes) * WIDTH : reads * makes), reads, makes};
 }
 
-// Copy all parameters into the shared memory, where they are after the next `encode_points`.
-__device__ inline void load_layers(const Network& net, float* parameters, float* shared) {
+// Copy all parameters into the shared memory, where they are after a barrier.
+template <int WIDTH>
+__device__ inline void load_layers(const Network& net, const float* parameters, float* shared) {
     for (int layer = 0; layer < net.layers; layer++) {
-        const Layer from = layer_of(net, layer, parameters, false), to = layer_of(net, layer, shared, true);
-        for (int j = threadIdx.x / 32; j < padded(to.makes); j += THREADS / 32) {
-            for (int i = threadIdx.x % 32; i < to.stride; i += 32) {
-                float* const at = to.weights + j * to.stride + i;
-                if (j < to.makes && i < to.reads) {
-                    copy_number(at, from.weights + j * to.reads + i);
-                } else if (j < to.makes && i == padded(to.reads)) {
-                    copy_number(at, from.biases + j);
-                } else {
-                    *at = 0.0f;
-                }
-            }
+        const Layer from = layer_of<WIDTH, false>(net, layer, parameters);
+        const int height = height_of(from.makes);
+        float* const to = shared + net.space[layer];
+#pragma unroll 4
+        for (int k = threadIdx.x; k < (height + 1) * WIDTH; k += THREADS) {
+            const int j = k / WIDTH, i = k % WIDTH;
+            const bool is_weight = j < from.makes && i < from.reads, is_bias = j == height && i < from.makes;
+            const float* const source = is_bias ? from.biases + i : from.weights + (is_weight ? j * from.reads + i : 0);
+            const float value = *source;
+            to[j * WIDTH + (is_bias ? i : i ^ turn_of(j))] = is_weight || is_bias ? value : 0.0f;
         }
     }
-}
-
-// GELU and sine; a ReLU is made where the sums are.
-__device__ inline float activated(int kind, float z) {
-    return kind == GELU ? 0.5f * z * (1.0f + erff(z * 0.7071067811865476f)) : sinf(z);
-}
-
-__device__ inline float slope_of(int kind, float z) {
-    if (kind == SINE) return cosf(z);
-    const float bell = 0.3989422804014327f * expf(-0.5f * z * z);
-    return 0.5f * (1.0f + erff(z * 0.7071067811865476f)) + z * bell;
-}
-
-// What the first layer reads of `count` points; 0 beside it and for the others of `most`.
-__device__ inline void encode_points(const Network& net, const float* points, int count, int most, float* rows) {
-    const int size = net.size[0], wide = padded(size), stride = stride_of(size), inputs = net.inputs;
-    for (int k = threadIdx.x; k < count * inputs; k += THREADS) {
-        copy_number(rows + k / inputs * stride + k % inputs, points + k);
-    }
-    for (int p = threadIdx.x / 32; p < most; p += THREADS / 32) {
-        float* const row = rows + p * stride;
-        for (int column = (p < count ? size : 0) + threadIdx.x % 32; column < wide; column += 32) row[column] = 0.0f;
-    }
-    wait_for_copies();
     __syncthreads();
-    const int p = threadIdx.x % most, pairs = p < count ? (size - inputs) / 2 : 0;
-    float* const row = rows + p * stride;
-    for (int pair = threadIdx.x / most; pair < pairs; pair += THREADS / most) {
-        const float turns = row[pair % net.encoded] * float(1 << pair / net.encoded);
-        const float whole = floorf(turns + 0.5f), angle = (turns - whole) * PI;
-        const float sign = whole * 0.5f == floorf(whole * 0.5f) ? 1.0f : -1.0f;
-        row[inputs + 2 * pair] = sign * sinf(angle);
-        row[inputs + 2 * pair + 1] = sign * cosf(angle);
+}
+
+// Sine of whole pi + rest: Taylor series, absolute error below 2e-7 for rest in [-pi/2, pi/2].
+__device__ inline float sine_of(float whole, float rest) {
+    const float square = rest * rest, half = whole * 0.5f, sign = 1.0f - 4.0f * (half - floorf(half));
+    float sine = -1.0f / 39916800.0f;
+    sine = sine * square + 1.0f / 362880.0f;
+    sine = sine * square - 1.0f / 5040.0f;
+    sine = sine * square + 1.0f / 120.0f;
+    sine = sine * square - 1.0f / 6.0f;
+    return sign * (sine * square * rest + rest);
+}
+
+// A number that the first layer reads: of a point, or its sine or cosine.
+__device__ inline float feature_of(float number, float factor) {
+    const float turns = number * fabsf(factor), whole = floorf(turns + 0.5f), rest = turns - whole;
+    return factor == 0.0f ? number : sine_of(whole, PI * (factor < 0.0f ? 0.5f - fabsf(rest) : rest));
+}
+
+// GELU (Abramowitz and Stegun 7.1.26) and sine, as on the CPU, and their slopes; a ReLU is made where the sums are.
+__device__ inline void activate(int kind, float& z, float& slope) {
+    if (kind == SINE) {
+        const float whole = floorf(z * (1.0f / PI) + 0.5f);  // pi in three parts, the first two of few bits
+        const float rest = z - whole * 3.140625f - whole * 9.67502593994e-4f - whole * 1.50995799e-7f;
+        slope = sine_of(whole, 0.5f * PI - fabsf(rest));
+        z = sine_of(whole, rest);
+        return;
     }
-    __syncthreads();
+    const float size = fabsf(z) * 0.7071067811865476f, bell = expf(fmaxf(-size * size, -80.0f));
+    const float t = 1.0f / (1.0f + 0.3275911f * size);
+    float tail = 1.061405429f * t - 1.453152027f;
+    tail = tail * t + 1.421413741f;
+    tail = tail * t - 0.284496736f;
+    tail = (tail * t + 0.254829592f) * t * bell * 0.5f;
+    const float share = z > 0.0f ? 1.0f - tail : tail;
+    slope = share + z * bell * 0.3989422804014327f;
+    z *= share;
 }
 
 union Bits {
@@ -151,221 +164,374 @@ __device__ inline void split(float value, unsigned& high, unsigned& low) {
     low = rest.bits;
 }
 
-// A matrix: how far it is from one row to the next, and from one column to the next.
-struct Matrix {
-    const float* at;
-    int row, column;
-};
+// The sums of a warp: for DEPTH times 16 points up to 8 TILES numbers. Of lane 4 g + q: of points g and g + 8, numbers
+// 2 q and 2 q + 1 of each eight.
+template <int TILES, int DEPTH>
+using Sums = float[DEPTH][TILES][4];
 
-// 16 rows and 8 COUNT columns of a product by one warp, of `inner` sums; those beyond `columns` are of no use. A lane
-// has rows g and g + 8, columns 2 q and 2 q + 1 of each eight. `left` is 0 beyond `inner`. The order of the sums puts a
-// warp's numbers into different banks: `pairs` are neighbours, or four apart.
-template <int COUNT>
-__device__ inline void multiply(float (&sums)[4][4], Matrix left, Matrix right, int inner, int columns, bool pairs) {
-    const int lane = threadIdx.x % 32, g = lane / 4, q = lane % 4, second = pairs ? 1 : 4, last = inner - 1;
-    const int down = 8 * left.row, across = second * left.column;
-    const float* at[COUNT];
+// sums += rows right, for `steps` times 8 numbers of a warp's rows to `tiles` times 8. `right(step, tile)` is what this
+// lane needs of an (8, 8) block: rows 2 q and 2 q + 1, column g. Tensor cores round towards 0, so that sums over many
+// steps are made outside of them.
+template <int TILES, int DEPTH, int GROUP, class Right>
+__device__ inline void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int width, int steps, int tiles,
+                                Right right) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
+#pragma unroll(TILES > 8 ? 1 : 2)
+    for (int step = 0; step < steps; step++) {
+        const float* const at = rows + g * width + ((8 * step) ^ turn) + 2 * q;
+        unsigned high[DEPTH][4], low[DEPTH][4];
 #pragma unroll
-    for (int n = 0; n < COUNT; n++) at[n] = right.at + min(8 * n + g, columns - 1) * right.column;
-#pragma unroll 2
-    for (int first = 0; first < inner; first += 8) {
-        const int k = first + (pairs ? 2 * q : q);
-        const float* const a = left.at + g * left.row + k * left.column;
-        const int above = min(k, last) * right.row, below = min(k + second, last) * right.row;
-        unsigned high[4], low[4], whole[COUNT][2], rest[COUNT][2];
-        split(a[0], high[0], low[0]);
-        split(a[down], high[1], low[1]);
-        split(a[across], high[2], low[2]);
-        split(a[down + across], high[3], low[3]);
-#pragma unroll
-        for (int n = 0; n < COUNT; n++) {
-            split(at[n][above], whole[n][0], rest[n][0]);
-            split(at[n][below], whole[n][1], rest[n][1]);
+        for (int k = 0; k < 2 * DEPTH; k++) {
+            const Pair both = *reinterpret_cast<const Pair*>(at + 8 * k * width);
+            split(both.x, high[k / 2][k % 2], low[k / 2][k % 2]);
+            split(both.y, high[k / 2][2 + k % 2], low[k / 2][2 + k % 2]);
         }
 #pragma unroll
-        for (int n = 0; n < COUNT; n++) add_product(sums[n], low, whole[n]);
+        for (int first = 0; first < (GROUP == 1 ? 1 : TILES); first += GROUP) {
+            if (first >= tiles) break;
+            unsigned whole[GROUP][2], rest[GROUP][2];
+            float parts[DEPTH][GROUP][4] = {};
 #pragma unroll
-        for (int n = 0; n < COUNT; n++) add_product(sums[n], high, rest[n]);
+            for (int n = 0; n < GROUP; n++) {
+                const Pair both = right(step, first + n);
+                split(both.x, whole[n][0], rest[n][0]);
+                split(both.y, whole[n][1], rest[n][1]);
+            }
 #pragma unroll
-        for (int n = 0; n < COUNT; n++) add_product(sums[n], high, whole[n]);
+            for (int k = 0; k < 3 * DEPTH * GROUP; k++) {  // small products first
+                const int d = k % DEPTH, n = k / DEPTH % GROUP, what = k / DEPTH / GROUP;
+                add_product(parts[d][n], what == 0 ? low[d] : high[d], what == 1 ? rest[n] : whole[n]);
+            }
+#pragma unroll
+            for (int d = 0; d < DEPTH; d++) {
+#pragma unroll
+                for (int k = 0; k < 4 * GROUP; k++) sums[d][first + k / 4][k % 4] += parts[d][k / 4][k % 4];
+            }
+        }
     }
 }
 
-__device__ inline void multiply(float (&sums)[4][4], Matrix left, Matrix right, int inner, int columns, bool pairs) {
-    if (columns > 8) {
-        multiply<4>(sums, left, right, inner, columns, pairs);
+template <int TILES, int DEPTH, class Right>
+__device__ inline void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int inner, int columns, Right right) {
+    const int steps = (inner + 7) / 8, tiles = (columns + 7) / 8, width = up_to(inner, 32);
+    if (tiles > 1) {
+        add_rows<TILES, DEPTH, 4>(sums, rows, width, steps, tiles, right);
     } else {
-        multiply<1>(sums, left, right, inner, columns, pairs);
+        add_rows<TILES, DEPTH, 1>(sums, rows, width, steps, tiles, right);
     }
 }
 
-// Call `store(row, column, sum)` for all sums of a warp.
-template <class Store>
-__device__ inline void spread(const float (&sums)[4][4], Store store) {
-    const int lane = threadIdx.x % 32;
+// Call `call(tile, half, pair)` for all pairs of numbers that this lane has of 16 points' rows.
+template <int TILES, class Call>
+__device__ inline void each_pair(float* at, int width, Call call) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
 #pragma unroll
-    for (int n = 0; n < 4; n++) {
+    for (int n = 0; n < TILES; n++) {
+        if (8 * n >= width) break;
 #pragma unroll
-        for (int k = 0; k < 4; k++) store(lane / 4 + k / 2 * 8, 8 * n + lane % 4 * 2 + k % 2, sums[n][k]);
-    }
-}
-
-// A layer of some points: rows of its outputs with 0 beside them, and of the slopes there; -1 is no activation.
-__device__ inline void run_layer(const Layer& layer, const float* from, int points, int kind, float* to,
-                                 float* slopes) {
-    const int tiles = points / 16, wide = (layer.makes + 31) / 32, lane = threadIdx.x % 32;
-    const int reads = stride_of(layer.reads), stride = stride_of(layer.makes);
-    for (int tile = threadIdx.x / 32; tile < tiles * wide; tile += THREADS / 32) {
-        const int p = tile % tiles * 16, j = tile / tiles * 32;
-        float sums[4][4];
-#pragma unroll
-        for (int n = 0; n < 4; n++) {
-#pragma unroll
-            for (int k = 0; k < 4; k++) {
-                const int column = j + 8 * n + lane % 4 * 2 + k % 2;
-                sums[n][k] = column < layer.makes ? layer.biases[column * layer.step] : 0.0f;
-            }
-        }
-        multiply(sums, {from + p * reads, reads, 1}, {layer.weights + j * layer.stride, 1, layer.stride}, layer.reads,
-                 layer.makes - j, false);
-        spread(sums, [&](int row, int column, float sum) {
-            const int at = (p + row) * stride + j + column;
-            const bool there = j + column < layer.makes;
-            if (j + column < padded(layer.makes)) {
-                if (kind == RELU && slopes) slopes[at] = there && sum > 0.0f ? 1.0f : 0.0f;
-                to[at] = there ? kind == RELU ? fmaxf(sum, 0.0f) : sum : 0.0f;
-            }
-        });
-#pragma unroll 1
-        for (int k = 0; k < 16 && kind > RELU; k++) {  // the same numbers: this code is too long to be there 16 times
-            const int column = j + k / 4 * 8 + lane % 4 * 2 + k % 2;
-            if (column >= padded(layer.makes)) break;
-            const int at = (p + lane / 4 + k % 4 / 2 * 8) * stride + column;
-            const float z = to[at];
-            if (slopes) slopes[at] = column < layer.makes ? slope_of(kind, z) : 0.0f;
-            to[at] = activated(kind, z);
+        for (int r = 0; r < 2; r++) {
+            call(n, r, *reinterpret_cast<Pair*>(at + (g + 8 * r) * width + ((8 * n) ^ turn) + 2 * q));
         }
     }
-    __syncthreads();
 }
 
-template <bool SHARED>
-__device__ inline void run_all(const Network& net, float* weights, View points, View values) {
-    const int total = values.size[0], outputs = values.size[1], last = net.layers - 1, stride = stride_of(outputs);
-    for (int first = blockIdx.y * NEURAL_POINTS; first < total; first += gridDim.y * NEURAL_POINTS) {
-        const int count = min(NEURAL_POINTS, total - first);
-        encode_points(net, points.at + size_t(first) * net.inputs, count, NEURAL_POINTS, memory);
-        float *from = memory, *to = memory + NEURAL_POINTS * net.widest;
+// What the first layer reads of some points, and 0 beside it and for points from `end` on, in a warp's rows.
+__device__ inline void encode_points(const Network& net, const View& points, int first, int end, int count,
+                                     float* rows) {
+    const int width = up_to(net.size[0], 32);
+    for (int column = threadIdx.x % 32; column < width; column += 32) {
+        const bool is_there = column < net.size[0];
+        const float factor = net.factor[column];
+        const float* const from = points.at + size_t(first) * net.inputs + net.source[column];
+#pragma unroll 4
+        for (int p = 0; p < count; p++) {
+            const float number = is_there && first + p < end ? from[p * net.inputs] : 0.0f;
+            rows[p * width + (column ^ turn_of(p))] = is_there && first + p < end ? feature_of(number, factor) : 0.0f;
+        }
+    }
+    __syncwarp();
+}
+
+// A layer of DEPTH times 16 points, before its activation; beyond the columns that it makes numbers are of no use.
+template <int TILES, int DEPTH, bool SHARED>
+__device__ inline void run_layer(const Layer& layer, const float* rows, Sums<TILES, DEPTH>& sums) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
+#pragma unroll
+    for (int n = 0; n < TILES; n++) {
+#pragma unroll
+        for (int k = 0; k < 4; k++) {
+            const int column = 8 * n + 2 * q + k % 2;
+            const float bias = SHARED || column < layer.makes ? layer.biases[column] : 0.0f;
+#pragma unroll
+            for (int d = 0; d < DEPTH; d++) sums[d][n][k] = bias;
+        }
+    }
+    multiply<TILES, DEPTH>(sums, rows, layer.reads, layer.makes, [&](int step, int tile) {
+        if (SHARED) {
+            const float* const row = layer.weights + (8 * tile + g) * 8 * TILES;
+            return *reinterpret_cast<const Pair*>(row + ((8 * step) ^ turn) + 2 * q);
+        }
+        const float* const row = layer.weights + min(8 * tile + g, layer.makes - 1) * layer.reads;
+        const int column = 8 * step + 2 * q, last = layer.reads - 1;
+        return Pair{row[min(column, last)], row[min(column + 1, last)]};
+    });
+}
+
+// A layer's activation of 16 points in a warp's rows, 0 beside what it makes, and slopes unless it is a ReLU.
+template <int TILES>
+__device__ inline void activate_rows(int kind, int makes, const float (&sums)[TILES][4], float* rows, float* slopes) {
+    const int width = up_to(makes, 32), q = threadIdx.x % 4, column = threadIdx.x % 32;
+    each_pair<TILES>(rows, width, [&](int n, int r, Pair& pair) {
+        const float x = sums[n][2 * r], y = sums[n][2 * r + 1];
+        pair.x = 8 * n + 2 * q < makes ? kind == RELU ? fmaxf(x, 0.0f) : x : 0.0f;
+        pair.y = 8 * n + 2 * q + 1 < makes ? kind == RELU ? fmaxf(y, 0.0f) : y : 0.0f;
+    });
+    __syncwarp();
+    if (kind == RELU) return;
+#pragma unroll 2
+    for (int k = 0; k < TILE * width; k += 32) {  // the same numbers: this code is too long to be there for each
+        float slope;
+        const int p = k / width, c = k % width + column, at = p * width + (c ^ turn_of(p));
+        if (c >= makes) continue;
+        activate(kind, rows[at], slope);
+        if (slopes) slopes[at] = slope;
+    }
+    __syncwarp();
+}
+
+template <int TILES, int DEPTH, bool SHARED>
+__device__ inline void run_all(const Network& net, const float* weights, const View& points, const View& values) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0], last = net.layers - 1;
+    const int warp = threadIdx.x / 32, together = TILE * DEPTH;
+    float* const rows = memory + warp * together * 8 * TILES;
+    for (int tile = blockIdx.y + warp * gridDim.y; tile * together < total; tile += gridDim.y * WARPS) {
+        const int first = tile * together;
+        encode_points(net, points, first, total, together, rows);
         for (int index = 0; index <= last; index++) {
-            const int kind = index < last ? net.activation : -1;
-            run_layer(layer_of(net, index, weights, SHARED), from, NEURAL_POINTS, kind, to, nullptr);
-            float* const made = to;
-            to = from;
-            from = made;
+            const Layer layer = layer_of<8 * TILES, SHARED>(net, index, weights);
+            Sums<TILES, DEPTH> sums;
+            run_layer<TILES, DEPTH, SHARED>(layer, rows, sums);
+            __syncwarp();
+            if (index < last) {
+                const int size = TILE * up_to(layer.makes, 32);
+#pragma unroll
+                for (int d = 0; d < DEPTH; d++) {
+                    activate_rows(net.activation, layer.makes, sums[d], rows + d * size, nullptr);
+                }
+                continue;
+            }
+#pragma unroll
+            for (int k = 0; k < 4 * TILES * DEPTH; k++) {
+                const int d = k / 4 / TILES, n = k / 4 % TILES, column = 8 * n + 2 * q + k % 2;
+                const int p = first + TILE * d + g + k % 4 / 2 * 8;
+                if (column < layer.makes && p < total) values.at[size_t(p) * layer.makes + column] = sums[d][n][k % 4];
+            }
         }
-        for (int k = threadIdx.x; k < count * outputs; k += THREADS) {
-            values.at[size_t(first) * outputs + k] = from[k / outputs * stride + k % outputs];
-        }
-        __syncthreads();
     }
 }
 
-// network (12,), parameters (count,), points (points, inputs) -> values (points, outputs): a block for every so many 64
-// points.
+// network (12,), parameters (count,), points (points, inputs) -> values (points, outputs): warps take 16 or 32 points
+// at a time.
 extern "C" __global__ void __launch_bounds__(THREADS) neural_forward(View network, View parameters, View points,
                                                                  View values) {
     __shared__ Network net;
     read_network(network, net);
-    const int begin = 2 * NEURAL_POINTS * net.widest;
-    if (begin + net.space[net.layers] <= shared_floats()) {
-        load_layers(net, parameters.at, memory + begin);
-        run_all<true>(net, memory + begin, points, values);
+    const int narrow = 64 / 8, wide = MOST_WIDTH / 8, rows = MOST_POINTS * MOST_WIDTH;
+    float* const weights = memory + rows;
+    if (rows + net.space[net.layers] > shared_floats()) {
+        run_all<wide, 1, false>(net, parameters.at, points, values);
+    } else if (net.widest <= 8 * narrow) {
+        load_layers<8 * narrow>(net, parameters.at, weights);
+        run_all<narrow, 2, true>(net, weights, points, values);
     } else {
-        run_all<false>(net, parameters.at, points, values);
+        load_layers<8 * wide>(net, parameters.at, weights);
+        run_all<wide, 1, true>(net, weights, points, values);
     }
 }
 
-// The gradients of one layer: of its parameters, added to `sums`; and of what it reads, which takes the place of the
-// slopes there, or for the first layer goes to rows of `pulls` of `count` points.
-__device__ inline void pull_back(const Layer& layer, const Layer& sums, const float* reads, const float* deltas,
-                                 float* slopes, int points, float* pulls, int count, int inputs) {
-    const int high = (layer.makes + 15) / 16, wide = (layer.reads + 31) / 32, tiles = slopes || pulls ? points / 16 : 0;
-    const int read_stride = stride_of(layer.reads), made_stride = stride_of(layer.makes);
-    for (int tile = threadIdx.x / 32; tile < (high + tiles) * wide; tile += THREADS / 32) {
-        float found[4][4] = {};
-        const int i = tile % wide * 32, row = tile / wide * 16;
-        if (row < 16 * high) {
-            multiply(found, {deltas + row, 1, made_stride}, {reads + i, read_stride, 1}, points, layer.reads - i,
-                            true);
-            spread(found, [&](int r, int c, float sum) {
-                const bool there = row + r < layer.makes && i + c < layer.reads;
-                if (there) sums.weights[(row + r) * sums.stride + i + c] += sum;
-            });
-        } else {
-            const int p = row - 16 * high;
-            multiply(found, {deltas + p * made_stride, made_stride, 1},
-                           {layer.weights + i, layer.stride, 1}, layer.makes, layer.reads - i, true);
-            spread(found, [&](int r, int c, float sum) {
-                if (pulls) {
-                    if (p + r < count && i + c < inputs) pulls[(p + r) * inputs + i + c] = sum;
-                } else if (i + c < padded(layer.reads)) {
-                    float& slope = slopes[(p + r) * read_stride + i + c];
-                    slope = i + c < layer.reads ? slope * sum : 0.0f;
-                }
-            });
+// 16 by 8 COUNT derivatives by a layer's weights, and 16 by its biases if there are any: sums over points of what the
+// layer made and read, whose rows have `high` and `wide` floats. They are added to the tensor's if that has `begun`.
+template <int COUNT>
+__device__ inline void add_weights(const float* deltas, int high, const float* reads, int wide, int points, int row,
+                                   int column, const Layer& layer, float* weights, float* biases, bool begun) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turns[2] = {turn_of(2 * q), turn_of(2 * q + 1)};
+    float found[COUNT][4], down[2] = {};
+    const float *left[2][2], *right[2][COUNT];
+#pragma unroll
+    for (int k = 0; k < 2; k++) {
+#pragma unroll
+        for (int r = 0; r < 2; r++) left[k][r] = deltas + (2 * q + k) * high + ((row + 8 * r) ^ turns[k]) + g;
+#pragma unroll
+        for (int n = 0; n < COUNT; n++) right[k][n] = reads + (2 * q + k) * wide + ((column + 8 * n) ^ turns[k]) + g;
+    }
+#pragma unroll
+    for (int k = 0; k < 4 * COUNT; k++) {
+        const int j = row + g + k % 4 / 2 * 8, i = column + k / 4 * 8 + 2 * q + k % 2;
+        found[k / 4][k % 4] = begun && j < layer.makes && i < layer.reads ? weights[j * layer.reads + i] : 0.0f;
+    }
+#pragma unroll 2
+    for (int p = 0; p < points; p += 8) {
+        unsigned high_left[4], low_left[4], whole[COUNT][2], rest[COUNT][2];
+        float parts[COUNT][4] = {};
+#pragma unroll
+        for (int k = 0; k < 2; k++) {
+#pragma unroll
+            for (int r = 0; r < 2; r++) {
+                const float value = left[k][r][p * high];
+                split(value, high_left[2 * k + r], low_left[2 * k + r]);
+                down[r] += value;
+            }
+#pragma unroll
+            for (int n = 0; n < COUNT; n++) split(right[k][n][p * wide], whole[n][k], rest[n][k]);
         }
+#pragma unroll
+        for (int n = 0; n < COUNT; n++) add_product(parts[n], low_left, whole[n]);
+#pragma unroll
+        for (int n = 0; n < COUNT; n++) add_product(parts[n], high_left, rest[n]);
+#pragma unroll
+        for (int n = 0; n < COUNT; n++) add_product(parts[n], high_left, whole[n]);
+#pragma unroll
+        for (int k = 0; k < 4 * COUNT; k++) found[k / 4][k % 4] += parts[k / 4][k % 4];
     }
-    for (int first = 0; first < layer.makes; first += THREADS / 4) {  // four threads share a bias
-        const int j = first + threadIdx.x / 4;
-        float total = 0.0f;
-        for (int p = threadIdx.x % 4; p < points && j < layer.makes; p += 4) total += deltas[p * made_stride + j];
-        total += __shfl_xor_sync(~0u, total, 1);
-        total += __shfl_xor_sync(~0u, total, 2);
-        if (threadIdx.x % 4 == 0 && j < layer.makes) sums.biases[j * sums.step] += total;
+#pragma unroll
+    for (int k = 0; k < 4 * COUNT; k++) {
+        const int j = row + g + k % 4 / 2 * 8, i = column + k / 4 * 8 + 2 * q + k % 2;
+        if (j < layer.makes && i < layer.reads) weights[j * layer.reads + i] = found[k / 4][k % 4];
     }
-    __syncthreads();
+#pragma unroll
+    for (int r = 0; r < 2; r++) {
+        down[r] += __shfl_xor_sync(~0u, down[r], 1);
+        down[r] += __shfl_xor_sync(~0u, down[r], 2);
+        const int j = row + g + 8 * r;
+        if (column == 0 && q == 0 && j < layer.makes) biases[j] = down[r] + (begun ? biases[j] : 0.0f);
+    }
 }
 
-// One group of points: all layers forwards and backwards.
-template <bool SHARED>
-__device__ inline void learn_group(const Network& net, float* weights, float* sums, int most, View points, View targets,
-                                   View pulls, int begin, int end, double& error) {
-    const int last = net.layers, kind = net.activation, outputs = net.size[last], stride = stride_of(outputs);
-    float* const changes = memory + most * (net.rows[last] - net.rows[1]);  // from layer 1 on
-    float* const result = changes + most * net.rows[last];
-    const float share = 1.0f / (float(points.size[0]) * float(outputs));
-    for (int first = begin; first < end; first += most) {
-        const int count = min(most, end - first);
-        encode_points(net, points.at + size_t(first) * net.inputs, count, most, memory);
-        for (int index = 0; index < last; index++) {
-            const Layer layer = layer_of(net, index, weights, SHARED);
-            float *const reads = memory + most * net.rows[index], *const makes = memory + most * net.rows[index + 1];
-            float* const slopes = changes + most * net.rows[index + 1];
-            if (index < last - 1) {
-                run_layer(layer, reads, most, kind, makes, slopes);
-            } else {
-                run_layer(layer, reads, most, -1, slopes, nullptr);
-            }
+// The same for a whole layer, by all warps: what it made and read lies at these places of the shared memory. Not in
+// line, as three forms of `learn_group` call it.
+template <int COUNT>
+__device__ __noinline__ void spread_weights(int deltas, int reads, int points, Layer layer, float* gradients,
+                                            bool begun) {
+    const int high = up_to(layer.makes, 32), wide = up_to(layer.reads, 32);
+    const int across = (layer.reads + 8 * COUNT - 1) / (8 * COUNT), tiles = (layer.makes + 15) / 16 * across;
+    for (int tile = threadIdx.x / 32; tile < tiles; tile += WARPS) {
+        add_weights<COUNT>(memory + deltas, high, memory + reads, wide, points, tile / across * 16,
+                           tile % across * 8 * COUNT, layer, gradients, gradients + layer.makes * layer.reads, begun);
+    }
+}
+
+// The derivatives of the squared error by the last layer's outputs of 16 points, in their place, and that error.
+template <int TILES>
+__device__ inline double compare(float (&sums)[TILES][4], const View& targets, int first, int end, float share) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, outputs = targets.size[1];
+    double error = 0.0;
+#pragma unroll
+    for (int r = 0; r < 2; r++) {
+        const int p = first + g + 8 * r;
+        const float* const target = targets.at + size_t(p) * outputs;
+        float unknown = p < end ? 0.0f : 1.0f;
+#pragma unroll
+        for (int k = 0; k < 2 * TILES; k++) {
+            const int column = k / 2 * 8 + 2 * q + k % 2;
+            float& value = sums[k / 2][2 * r + k % 2];
+            const float wanted = column < outputs && p < end ? target[column] : 0.0f;
+            if (!(fabsf(wanted) <= LARGEST_FLOAT)) unknown = 1.0f;
+            value = column < outputs ? value - wanted : 0.0f;
         }
-        for (int p = threadIdx.x; p < most; p += THREADS) {
-            const float* const target = targets.at + size_t(first + p) * outputs;
-            bool known = p < count;
-            for (int j = 0; j < outputs; j++) known = known && fabsf(target[j]) <= LARGEST_FLOAT;
-            for (int j = 0; j < outputs; j++) {
-                const float difference = known ? result[p * stride + j] - target[j] : 0.0f;
-                error += double(difference) * difference;
-                result[p * stride + j] = 2.0f * share * difference;
-            }
+        unknown += __shfl_xor_sync(~0u, unknown, 1);
+        unknown += __shfl_xor_sync(~0u, unknown, 2);
+#pragma unroll
+        for (int k = 0; k < 2 * TILES; k++) {
+            float& value = sums[k / 2][2 * r + k % 2];
+            value = unknown > 0.0f ? 0.0f : value;
+            error += double(value) * value;
+            value *= 2.0f * share;
         }
-        __syncthreads();
-        float* const pulled = pulls.size[0] == points.size[0] ? pulls.at + size_t(first) * net.inputs : nullptr;
+    }
+    return error;
+}
+
+// One group of points: all layers forwards and backwards, for `most` points at a time, 16 for each warp that has some.
+// A layer's derivatives take the place of what the next one read.
+template <int TILES, bool SHARED>
+__device__ __noinline__ double learn_group(const Network& net, const float* weights, float* gradients, int most,
+                                     const View& points, const View& targets, const View& pulls, int begin, int end) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, last = net.layers, kind = net.activation;
+    const int own = threadIdx.x / 32 * TILE, turns[2] = {turn_of(2 * q), turn_of(2 * q + 1)};
+    const bool is_busy = own < most, is_pulled = pulls.size[0] == points.size[0];
+    float* const slopes = memory + most * (net.rows[last + 1] - net.rows[1]);  // from layer 1 on
+    const float share = 1.0f / (float(points.size[0]) * float(net.size[last]));
+    double error = 0.0;
+    for (int first = begin; first == begin || first < end; first += most) {
+        Sums<TILES, 1> sums;
+        if (is_busy) {
+            encode_points(net, points, first + own, end, TILE, memory + own * up_to(net.size[0], 32));
+            for (int index = 0; index < last; index++) {
+                const Layer layer = layer_of<8 * TILES, SHARED>(net, index, weights);
+                const float* const reads = memory + most * net.rows[index] + own * up_to(layer.reads, 32);
+                const int place = most * net.rows[index + 1] + own * up_to(layer.makes, 32);
+                run_layer<TILES, 1, SHARED>(layer, reads, sums);
+                if (index == last - 1) break;
+                activate_rows(kind, layer.makes, sums[0], memory + place, slopes + place);
+            }
+            error += compare(sums[0], targets, first + own, end, share);
+        }
         for (int index = last - 1; index >= 0; index--) {
-            const Layer layer = layer_of(net, index, weights, SHARED), into = layer_of(net, index, sums, SHARED);
-            pull_back(layer, into, memory + most * net.rows[index], changes + most * net.rows[index + 1],
-                      index ? changes + most * net.rows[index] : nullptr, most, index ? nullptr : pulled, count,
-                      net.inputs);
+            const Layer layer = layer_of<8 * TILES, SHARED>(net, index, weights);
+            const int width = up_to(layer.reads, 32), high = up_to(layer.makes, 32);
+            float* const reads = memory + most * net.rows[index];
+            float* const deltas = memory + most * net.rows[index + 1];
+            if (is_busy) {
+                each_pair<TILES>(deltas + own * high, high, [&](int n, int r, Pair& pair) {
+                    pair = {sums[0][n][2 * r], sums[0][n][2 * r + 1]};
+                });
+            }
+            __syncthreads();
+            float* const into = gradients + net.count[index];
+            const int blocks = (layer.makes + 15) / 16;
+            if (blocks * ((layer.reads + 31) / 32) >= WARPS) {
+                spread_weights<4>(most * net.rows[index + 1], most * net.rows[index], most, layer, into, first > begin);
+            } else if (blocks * ((layer.reads + 15) / 16) >= WARPS) {
+                spread_weights<2>(most * net.rows[index + 1], most * net.rows[index], most, layer, into, first > begin);
+            } else {
+                spread_weights<1>(most * net.rows[index + 1], most * net.rows[index], most, layer, into, first > begin);
+            }
+            if (is_busy && (index || is_pulled)) {
+#pragma unroll
+                for (int k = 0; k < 4 * TILES; k++) sums[0][k / 4][k % 4] = 0.0f;
+                multiply<TILES, 1>(sums, deltas + own * high, layer.makes, layer.reads, [&](int step, int tile) {
+                    if (SHARED) {
+                        const float* const row = layer.weights + (8 * step + 2 * q) * 8 * TILES + g;
+                        return Pair{row[(8 * tile) ^ turns[0]], row[8 * TILES + ((8 * tile) ^ turns[1])]};
+                    }
+                    const int j = 8 * step + 2 * q, lowest = layer.makes - 1;
+                    const float* const column = layer.weights + min(8 * tile + g, layer.reads - 1);
+                    return Pair{column[min(j, lowest) * layer.reads], column[min(j + 1, lowest) * layer.reads]};
+                });
+            }
+            __syncthreads();
+            if (is_busy && index) {
+                float* const at = (kind == RELU ? reads : slopes + most * net.rows[index]) + own * width;
+                each_pair<TILES>(at, width, [&](int n, int r, const Pair& pair) {
+                    const bool is_relu = kind == RELU;
+                    const int column = 8 * n + 2 * q;
+                    const float one = is_relu ? float(pair.x > 0.0f) : pair.x;
+                    const float other = is_relu ? float(pair.y > 0.0f) : pair.y;
+                    sums[0][n][2 * r] *= column < layer.reads ? one : 0.0f;
+                    sums[0][n][2 * r + 1] *= column + 1 < layer.reads ? other : 0.0f;
+                });
+            } else if (is_busy && is_pulled) {
+#pragma unroll
+                for (int k = 0; k < 4 * TILES; k++) {
+                    const int column = k / 4 * 8 + 2 * q + k % 2, p = first + own + g + k % 4 / 2 * 8;
+                    if (column < net.inputs && p < end) {
+                        pulls.at[size_t(p) * net.inputs + column] = sums[0][k / 4][k % 4];
+                    }
+                }
+            }
         }
     }
+    return error;
 }
 
 // network (12,), parameters (count,), points (points, inputs), targets (points, outputs) -> partials (groups, count +
@@ -379,35 +545,25 @@ extern "C" __global__ void __launch_bounds__(THREADS) neural_gradients(View netw
     const long long total = points.size[0];
     float* const gradients = partials.at + size_t(group) * sums;
     const int begin = int(group * total / groups), end = int((group + 1) * total / groups);
-    const int room = shared_floats() - SLACK, space = net.space[net.layers];
-    const int wide = net.rows[net.layers] + net.rows[net.layers + 1] - net.rows[1];
-    int most = NEURAL_POINTS;
-    while (most > 16 && most * wide > room) most /= 2;
-    const int used = most * wide;
-    double error = 0.0;
-    if (used + 2 * space <= room) {
-        float *const weights = memory + used, *const found = weights + space;
-        load_layers(net, parameters.at, weights);
-        for (int k = threadIdx.x; k < space; k += THREADS) found[k] = 0.0f;
-        learn_group<true>(net, weights, found, most, points, targets, pulls, begin, end, error);
-        for (int index = 0; index < net.layers; index++) {
-            const Layer from = layer_of(net, index, found, true), to = layer_of(net, index, gradients, false);
-            for (int j = threadIdx.x / 32; j < to.makes; j += THREADS / 32) {
-                for (int i = threadIdx.x % 32; i < to.reads; i += 32) {
-                    to.weights[j * to.reads + i] = from.weights[j * from.stride + i];
-                }
-            }
-            for (int k = threadIdx.x; k < to.makes; k += THREADS) to.biases[k] = from.biases[k * from.step];
-        }
+    const int narrow = 64 / 8, wide = MOST_WIDTH / 8, last = net.layers, hidden = net.rows[last] - net.rows[1];
+    const int floats = net.rows[last + 1] + (net.activation == RELU ? 0 : hidden);  // of a point
+    int most = MOST_POINTS;
+    while (most > TILE && (most * floats > shared_floats() || most >= 2 * (end - begin))) most /= 2;
+    float* const weights = memory + most * floats;
+    double error;
+    if (most * floats + net.space[last] > shared_floats()) {
+        error = learn_group<wide, false>(net, parameters.at, gradients, most, points, targets, pulls, begin, end);
+    } else if (net.widest <= 8 * narrow) {
+        load_layers<8 * narrow>(net, parameters.at, weights);
+        error = learn_group<narrow, true>(net, weights, gradients, most, points, targets, pulls, begin, end);
     } else {
-        for (int k = threadIdx.x; k < sums - 1; k += THREADS) gradients[k] = 0.0f;
-        __syncthreads();
-        learn_group<false>(net, parameters.at, gradients, most, points, targets, pulls, begin, end, error);
+        load_layers<8 * wide>(net, parameters.at, weights);
+        error = learn_group<wide, true>(net, weights, gradients, most, points, targets, pulls, begin, end);
     }
     errors[threadIdx.x] = error;
     __syncthreads();
     if (threadIdx.x == 0) {
-        for (int k = 1; k < most; k++) error += errors[k];
+        for (int k = 1; k < THREADS; k++) error += errors[k];
         gradients[sums - 1] = float(error / (double(total) * net.size[net.layers]));
     }
 }
@@ -415,12 +571,11 @@ extern "C" __global__ void __launch_bounds__(THREADS) neural_gradients(View netw
 // A step of one parameter, whose moments are a row of three.
 __device__ inline void adam_step(float gradient, const View& hyper, float* row, float& parameter) {
     const float rate = hyper.at[0], slow = hyper.at[1], slower = hyper.at[2], epsilon = hyper.at[3];
-    const double step = row[2] + 1.0;
-    const float size = float(rate / (1.0 - pow(double(slow), step)));
-    const float scale = float(1.0 / sqrt(1.0 - pow(double(slower), step)));
+    const float step = row[2] + 1.0f;
+    const float size = rate / -expm1f(step * logf(slow)), scale = 1.0f / sqrtf(-expm1f(step * logf(slower)));
     row[0] = slow * row[0] + (1.0f - slow) * gradient;
     row[1] = slower * row[1] + (1.0f - slower) * gradient * gradient;
-    row[2] = float(step);
+    row[2] = step;
     parameter -= size * row[0] / (sqrtf(row[1]) * scale + epsilon);
 }
 

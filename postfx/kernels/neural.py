@@ -398,7 +398,7 @@ _SHAPES: dict[str, tuple[int | str, ...]] = {
     "network": (FACTS,), "parameters": ("count",), "points": ("points", "inputs")}
 FORWARD = Kernel(
     "neural_forward", ("network", "parameters", "points"), ("values",), forward_rows, ("values", 0),
-    {**_SHAPES, "values": ("points", "outputs")}, blocks=Blocks(64, THREADS, 112 << 10, 264))
+    {**_SHAPES, "values": ("points", "outputs")}, blocks=Blocks(64, THREADS, 224 << 10, 132))
 GRADIENTS = Kernel(
     "neural_gradients", ("network", "parameters", "points", "targets"), ("partials", "pulls"), gradient_rows,
     ("partials", 0),
