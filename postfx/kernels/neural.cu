@@ -4,7 +4,7 @@
 // there is room. Products are made by tensor cores: each number is a sum of two with 11 bits, and three products of
 // these are added up in float32 (Ootomo and Yokota 2022), so that results have float32's precision.
 #ifdef __CUDACC__
-extern __shared__ float memory[];
+extern __shared__ __align__(16) float memory[];
 
 __device__ inline int shared_floats() {
     unsigned bytes;
