@@ -2,7 +2,8 @@
 
 DRJIT_LIBLLVM_PATH=libLLVM.so.19 python -m training.datagen.occlusion SCENES OUT [--views 8] [--held-out]
 
-SCENES is a folder of converted scenes (`training.datagen.scenes.convert`). Each view becomes a file: normals in camera
+SCENES is a folder of converted scenes (`training.datagen.scenes.convert`), or the word `drafts` for `--drafts` scenes
+that the factory makes itself (`training.datagen.scenes.procedural`). Each view becomes a file: normals in camera
 space (x to the right, y up, z to the camera) and depth along the camera's axis at pixel centres, and for three radii
 the share of a cosine-weighted hemisphere in which nothing is nearer than the radius. `HELD_OUT` names the scenes that
 are never trained on; `--held-out` renders those, with more rays.
@@ -13,13 +14,20 @@ from __future__ import annotations
 import argparse
 import json
 import zlib
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from training.datagen.scenes.build import _posed
 from training.datagen.scenes.convert import draw_view
+from training.datagen.scenes.draft import View
+from training.datagen.scenes.lights import Environments
+from training.datagen.scenes.meshes import merge
+from training.datagen.scenes.procedural import draft
 
 HELD_OUT = ("bathroom", "flight-helmet", "hospital", "kaykit-dungeon", "small-house")
 RADII = 0.06, 0.125, 0.25
@@ -135,6 +143,21 @@ def _visible(scene: mi.Scene, found: mi.SurfaceInteraction3f, face: mi.Normal3f,
     return clear / np.maximum(known, 1)
 
 
+def scenes_of(args: argparse.Namespace) -> Iterator[tuple[str, mi.Scene, Callable[[np.random.Generator], View]]]:
+    """Name, triangles, and how to draw a view, of every scene that is asked for."""
+    if args.scenes.name == "drafts":
+        for seed in range(args.first, args.first + args.drafts):
+            made = draft(np.random.default_rng((7, seed)), Environments(None))
+            whole = merge([_posed(part.mesh, part, made.description, 0.0) for part in made.description.parts])
+            mesh = _mesh("draft", whole.vertices, whole.normals, whole.faces)
+            yield f"draft-{seed}", mi.load_dict({"type": "scene", "draft": mesh}), made.view
+        return
+    for folder in sorted(path.parent for path in args.scenes.glob("*/scene.json")):
+        if (folder.name in HELD_OUT) == args.held_out:
+            scene = Scene(folder)
+            yield folder.name, scene.scene, partial(draw_view, scene.facts, own=0.5, shift=0.1, inside=0.1)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path)
@@ -143,28 +166,28 @@ def main() -> None:
     parser.add_argument("--size", type=int, nargs=2, default=(192, 128))
     parser.add_argument("--rays", type=int, default=256)
     parser.add_argument("--held-out", action="store_true")
+    parser.add_argument("--drafts", type=int, default=400, help="scenes that are made")
+    parser.add_argument("--first", type=int, default=0, help="number of the first of these")
+    parser.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba: cuda_ad_rgb on a GPU")
     parser.add_argument("--threads", type=int, default=1)
     args = parser.parse_args()
+    mi.set_variant(args.variant)
     dr.set_thread_count(args.threads)
     args.out.mkdir(parents=True, exist_ok=True)
-    for folder in sorted(path.parent for path in args.scenes.glob("*/scene.json")):
-        if (folder.name in HELD_OUT) != args.held_out:
-            continue
-        scene, random = Scene(folder), np.random.default_rng(zlib.crc32(folder.name.encode()))
-        made = 0
+    for name, scene, draw in scenes_of(args):
+        random, made = np.random.default_rng(zlib.crc32(name.encode())), 0
         for attempt in range(12 * args.views):
-            path = args.out / f"{folder.name}.{made}.npz"
-            eye, target = draw_view(scene.facts, random, own=0.5, shift=0.1, inside=0.1)
-            view = render(scene.scene, eye, target, np.tan(np.radians(random.uniform(35, 80)) / 2), args.size,
-                          args.rays, attempt)
+            path = args.out / f"{name}.{made}.npz"
+            eye, target = draw(random)
+            view = render(scene, eye, target, np.tan(np.radians(random.uniform(35, 80)) / 2), args.size, args.rays,
+                          attempt)
             if view is not None:
                 np.savez_compressed(path, **view)
                 made += 1
             if made == args.views:
                 break
-        print(f"{folder.name}: {made} views", flush=True)
+        print(f"{name}: {made} views", flush=True)
 
 
 if __name__ == "__main__":
-    mi.set_variant("llvm_ad_rgb")
     main()
