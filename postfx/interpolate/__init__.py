@@ -77,11 +77,10 @@ class Between:
         before, after: the two frames, scene-linear.
         later: the frame that follows, if there is one. It bends the paths of what turns or speeds up, and so does the
             motion of the frame before.
-        flow: whether motion is also estimated where there are vectors, for what does not move along with its surface,
-            such as shadows; it takes most of the time. Without vectors it is estimated anyway.
+        flow: whether motion is also estimated where there are vectors, as shadows do not move along with their surface.
         overlay: 'mix' or 'hold' (keep the earlier one's) the plane overlay.
         composited: whether the overlay is in the colour, too. It is taken out, and put over the result.
-        is_cut: whether another shot begins between the two; a frame after that is marked by `reset` says so itself.
+        is_cut: whether another shot begins between the two, as `reset` of the frame after says, too.
         last: the time before this one, whose findings about frames of both are taken over.
 
     Attributes:
@@ -439,8 +438,7 @@ class Between:
 class Interpolator:
     """Frames between the last two frames of a stream, for live use. Stateful: push frames in order.
 
-    Options are those of `Between`. `push` finds cuts. Motion is bent by the frame before the last two; there is no
-    waiting for a later one.
+    Options are those of `Between`. `push` finds cuts. The frame before the last two bends motion, a later one does not.
 
     Attributes:
         between: the time between the last two frames; None before there are two.
