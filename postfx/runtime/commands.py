@@ -137,8 +137,7 @@ class CommandBuffer:
     def repeat(self, key: tuple[object, ...], record: Callable[[], R]) -> R:
         """Let `record` record some commands, or repeat what it recorded for an equal `key` in a buffer before; returns
         what it returned. The key holds all tensors that the commands use and the caller may change, and whatever else
-        they depend on. `record` touches nothing but this buffer.
-        """
+        they depend on. `record` touches nothing but this buffer."""
         if self.known is None:
             return record()
         self._require_open()
@@ -203,10 +202,7 @@ class CommandBuffer:
             self._close("discarded")
 
     def wait(self, timeout: float | None = None) -> None:
-        """Block until all commands are done.
-
-        Args:
-            timeout: seconds; None waits without limit.
+        """Block until all commands are done, or for `timeout` seconds (None: no limit).
 
         Raises CommandTimeout when they are not done in time, CommandError when one failed, EncodingError before
         commit.
@@ -324,9 +320,8 @@ class Execution:
         timings: encoder -> its label and milliseconds.
     """
 
-    def __init__(
-        self, device: CommandDevice, label: str, footprint: Footprint, recorder: Recorder | None = None
-    ) -> None:
+    def __init__(self, device: CommandDevice, label: str, footprint: Footprint,
+                 recorder: Recorder | None = None) -> None:
         self.running: Dispatch | None = None
         self.error: CommandError | None = None
         self.timings: dict[int, tuple[str, float]] = {}
