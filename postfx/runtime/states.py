@@ -27,8 +27,8 @@ MINIMUM_ROWS = 4
 
 
 class Binding(NamedTuple):
-    """One argument of a network or kernel; `access` is 'read', 'write' or 'read-write', `shape` None if a kernel leaves it
-    open; it may hold symbols ('height', '2*width') in kernels only."""
+    """One argument of a network or kernel; `access` is 'read', 'write' or 'read-write', `shape` None if a kernel leaves
+    it open; it may hold symbols ('height', '2*width') in kernels only."""
 
     name: str
     access: str
