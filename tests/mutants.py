@@ -73,12 +73,13 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 ROOMS = (
     *_kernels("features", 5, "denoise_features", "denoise_guides", "denoise_trust", "denoise_upsample_guided"),
-    *_kernels("pyramid", 3, "denoise_pool", "denoise_mix", "denoise_filter", "denoise_remodulate"),
+    *_kernels("pyramid", 3, "denoise_pool", "denoise_mix", "denoise_filter", "denoise_remodulate",
+              "denoise_alpha_level", "denoise_enlarge_alpha"),
     *_kernels("prepare", 3, "denoise_scale", "denoise_dilate", "denoise_means", "denoise_accumulate"),
     *_kernels("network_io", 2, "denoise_pack", "denoise_open", "denoise_store", "stored"),
     *_kernels("output", 3, "denoise_judge", "denoise_detail", "denoise_restore", "detail_is_told", "denoise_assemble",
               "denoise_strength"),
-    *_kernels("alpha", 2, "denoise_gather", "denoise_correct"),
+    *_kernels("alpha", 2, "denoise_gather", "denoise_fit", "denoise_correct"),
     *_kernels("history", 5, "denoise_history", "denoise_resize", "denoise_reactive", "denoise_spread", "denoise_keep",
               "denoise_reflections", "error_of_reflections", also="tests/passes/test_denoise_reflections.py"),
     *_kernels("upsample", 3, "denoise_upsample"),
@@ -186,6 +187,7 @@ EQUIVALENT = {
     "number: 1 -> 2 in head = json.dumps(": "JSON means the same with other spaces",
     "number: 0.0 -> -1.0 in signal = np.clip(": "what is below 0 becomes 0, too",
     "number: 0 -> -1 in mix_row(": "the output of a network holds one frame, the first and the last",
+    "number: 0 -> -1 in upper = fine[0, first, iy": "the output of a network holds one frame, the first and the last",
     "number: 0 -> -1 in _correct_type(headers[0]": "a file of one part has one header",
     "number: 7 -> 6 in shifted = [correlation(": "noise is as unrelated to that of six pixels away as of seven",
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",

@@ -41,6 +41,17 @@ __device__ inline int centre(int position, int size, int out_size, float& offset
     return index;
 }
 
+// How near a render pixel is to what is worked on, by cells (cells, cells), or by one number for all.
+__device__ inline float nearness(const View& near, int y, int x) {
+    return near.at[size_t(min(y / NEAR_CELL, near.size[0] - 1)) * near.size[1] + min(x / NEAR_CELL, near.size[1] - 1)];
+}
+
+// Mean of alpha's samples (2 h, 2 w, 1) in a render pixel.
+__device__ inline float pixel_mean(const View& samples, int at_y, int at_x, int w) {
+    const float* const upper = samples.at + 4 * size_t(at_y) * w + 2 * at_x;
+    return (upper[0] + upper[1] + upper[2 * w] + upper[2 * w + 1]) * 0.25f;
+}
+
 // What no picture can have (NaN, infinity) is no motion.
 __device__ inline float possible_motion(float value) {
     return value > -MOST_MOTION && value < MOST_MOTION ? value : 0.0f;

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import BLEND, FINE, GUIDE_PLANES, MEMORY
-from postfx.kernels.denoise.alpha import CORRECT, GATHER
+from postfx.kernels.denoise import BLEND, FINE, GUIDE_PLANES, MEMORY, NEAR_CELL
+from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
@@ -25,7 +25,7 @@ from postfx.kernels.denoise.network_io import (
 from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, means_size
-from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
+from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, LEVEL, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
 from postfx.passes.denoise.tiling import Sizes, Window
@@ -43,7 +43,8 @@ KERNELS = (
     PACK, OPEN, OPEN_FINE, OPEN_PHASED,
     OPEN_PRODUCTS, OPEN_FINE_PRODUCTS, STORE,
     STORE_RINGED,
-    REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, GATHER, CORRECT, DECODE, DECODE_ONE,
+    REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, GATHER, LEVEL, ENLARGE_ALPHA, FIT, CORRECT,
+    DECODE, DECODE_ONE,
 )
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
@@ -82,8 +83,10 @@ class Case(NamedTuple):
                 "ringed_hp": hp + 2, "ringed_wp": wp + 2, "th": window.rows, "tw": window.columns,
                 "out_th": window.out.rows, "out_tw": window.out.columns,
                 "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
-                "tiles": 3, "parts": 1 + self.w % 3,
+                "tiles": 3, "parts": 1 + self.w % 3, "planes": (1, 3, 6)[self.w % 3],
                 **dict.fromkeys(("reached_h", "reached_w"), 1 if self.h % 2 else 9),
+                "near_h": 1 if self.w % 3 == 2 else -(-self.h // NEAR_CELL),
+                "near_w": 1 if self.w % 3 == 2 else -(-self.w // NEAR_CELL),
                 "tile_h": window.rows, "tile_w": window.columns,
                 "rows": self.h, "columns": self.w,
                 "cells_h": -(-window.rows // 8), "cells_w": -(-window.columns // 8),
@@ -201,6 +204,10 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.array([-1.0, 0.5, 1.5] if case.h % 2 else [0.0, 1.0, 1e4])
     if name == "decoding":  # of distances, other values and vectors
         return np.array([-1.0, -1e10, 0.5, 2.0, -1.0] if case.h % 3 == 0 else [2.0, -1.0, -0.8, 0.9, case.h % 3 - 1])
+    if name == "near":  # cells that are worked on, and those around them
+        found = np.pad(unit > (0.5 if size == (1, 1) else 0.8), 1)
+        around = np.max([found[j:j + size[0], i:i + size[1]] for j in range(3) for i in range(3)], axis=0)
+        return found[1:-1, 1:-1] + 1.0 * around
     if name == "reached":
         return np.ones(size) if size[1] == 1 else unit > 0.3
     if name == "complete":

@@ -9,7 +9,7 @@ import pytest
 
 from postfx.errors import FrameError, PassOptionError
 from postfx.frame import Frame, Part, Role
-from postfx.kernels.denoise.alpha import CORRECT, GATHER
+from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.frame import Frames
 from postfx.passes.denoise.parts import coverage, mean_stops
@@ -275,15 +275,18 @@ def test_alpha_is_denoised_where_it_is_noisy_and_left_alone_where_it_is_clean(de
     assert np.array_equal(first, second)  # what lies two frames back is no history
 
 
+NEAR = np.full((1, 1), 2, np.float32)
+
+
 def gathered(alphas: list[np.ndarray], step: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Means of alpha (h, w) of frames that move by so much, at 4 samples a pixel, and their variance."""
     (h, w), rates = alphas[0].shape, np.array([1, 1 / 4, 1 / 32, 1 / 16], np.float32)
     samples, doubt = np.zeros((2 * h, 2 * w, 1), np.float32), np.zeros((h, w, 1), np.float32)
     moved = np.broadcast_to(-np.float32(step), (h, w, 2)).copy()
     for i, alpha in enumerate(alphas):
-        part = np.repeat(alpha[..., None], 3, 2).astype(np.float32)
+        part = alpha[..., None].astype(np.float32)
         last = samples.copy(), doubt.copy(), rates * np.float32([i > 0, 1, 1, 1])
-        GATHER.rows(0, h, part, moved, *last, samples, doubt)
+        GATHER.rows(0, h, part, moved, *last[:2], NEAR, last[2], samples, doubt)
     return samples[..., 0], doubt[..., 0]
 
 
@@ -312,20 +315,34 @@ def test_means_of_alpha_know_quarters_of_pixels_where_things_move_by_parts_of_on
 
 def test_corrected_alpha_comes_nearer_to_its_samples_where_it_has_structure() -> None:
     random = np.random.default_rng(0)
-    filtered = np.repeat(random.uniform(0.3, 0.7, (26, 30, 1)), 3, 2).astype(np.float32)
+    filtered = random.uniform(0.3, 0.7, (26, 30, 1)).astype(np.float32)
     filtered[:14] = np.linspace(0.3, 0.5, 30)[:, None]  # a slope: what differs there is noise
     samples, moved = np.full((26, 30, 1), 0.45, np.float32), np.zeros((13, 15, 2), np.float32)
     doubt = np.full((13, 15, 1), 0.25, np.float32)
     doubt[:, 8:] = 0
-    found = np.empty((26, 30, 3), np.float32)
-    CORRECT.rows(0, 26, filtered, samples, doubt, moved, np.array([0.25, 0.01, 0], np.float32), found)
+    found, fit = np.empty((26, 30, 1), np.float32), np.zeros((4, 13, 15), np.float32)
+    rest = np.zeros((26, 30, 3), np.float32), fit, samples, doubt, moved, NEAR
+    CORRECT.rows(0, 26, filtered, *rest, np.array([0.25, 0.01, 0, 0], np.float32), found)
     means, before = (alpha[..., 0].reshape(13, 2, 15, 2).mean((1, 3)) for alpha in (found, filtered))
     apart = np.abs(means - 0.45) / np.abs(before - 0.45)
     np.testing.assert_allclose(found[:11, 2:-2], filtered[:11, 2:-2], atol=0.02)
     assert np.median(apart[9:12, 9:]) < np.median(apart[9:12, :7]) < 0.95
-    sharper = np.empty((26, 30, 3), np.float32)
-    CORRECT.rows(0, 26, filtered, samples, doubt, moved, np.array([0, 0, 0.5], np.float32), sharper)
+    sharper = np.empty((26, 30, 1), np.float32)
+    CORRECT.rows(0, 26, filtered, *rest, np.array([0, 0, 0.5, 0], np.float32), sharper)
     assert sharper[18:].std() > 1.2 * filtered[18:].std()
+
+
+def test_alpha_gets_the_edges_that_colours_have() -> None:
+    inside = np.add.outer(0.7 * np.arange(32), np.arange(40)) > 37.3  # an edge across
+    picture = np.where(inside[..., None], (0.9, 0.5, 0.1), (0.0, 0.0, 0.0)).astype(np.float32)
+    samples = np.kron(inside.reshape(16, 2, 20, 2).mean((1, 3)), np.ones((2, 2)))[..., None].astype(np.float32)
+    fit, found = np.empty((4, 16, 20), np.float32), np.empty((32, 40, 1), np.float32)
+    FIT.rows(0, 16, picture, samples, NEAR, fit)
+    doubt, moved = np.zeros((16, 20, 1), np.float32), np.zeros((16, 20, 2), np.float32)
+    for share, least, most in ((0, 0.1, 1), (1, 0, 0.05)):
+        gain = np.array([0, 1e-6, 0, share], np.float32)
+        CORRECT.rows(0, 32, samples, picture, fit, samples, doubt, moved, NEAR, gain, found)
+        assert least <= np.abs(found[..., 0] - inside)[4:-4, 4:-4].max() <= most
 
 
 def test_alpha_of_many_samples_is_nearly_the_frame_s_own_but_not_if_it_is_jittered(device: Device) -> None:

@@ -43,13 +43,14 @@ BOUNDS = {
     "denoise_open": ROUNDED, "denoise_open_fine": ROUNDED, "denoise_open_phased": ROUNDED, "overlay_over": ROUNDED,
     "overlay_over_alpha": ROUNDED, "smooth": ROUNDED, "light": ROUNDED, "follow": ROUNDED, "expose": ROUNDED,
     "apply_cube": 5e-7, "lowres": 5e-7, "denoise_trust": 1e-6, "denoise_accumulate": 1e-6,
-    "encode_display": 5e-7, "denoise_pool": 5e-7, "denoise_filter": 5e-7, "denoise_resize": 5e-7,
+    "encode_display": 5e-7, "denoise_pool": 1e-6, "denoise_filter": 5e-7, "denoise_resize": 5e-7,
     "denoise_reactive": 5e-7, "denoise_history": 2e-6, "denoise_features": 5e-6, "denoise_upsample": 2e-6,
     "denoise_upsample_guided": 2e-6, "denoise_upsample_unscaled": 2e-6, "denoise_means": 5e-7,
     "resample": 5e-6, "slice_apply": 1e-5, "overlay_enlarge": 2e-5,
     "denoise_reflections": 2e-5, "denoise_open_products": 2e-6, "denoise_open_fine_products": 2e-6,
     "denoise_accumulate_part": 5e-6, "denoise_upsample_light": 2e-6, "denoise_balance": 5e-7,
-    "denoise_correct": 2e-6, "denoise_gather": 2e-6,
+    "denoise_correct": 2e-5, "denoise_gather": 2e-6, "denoise_fit": 5e-5,
+    "denoise_alpha_level": ROUNDED, "denoise_enlarge_alpha": 2e-6,
     "denoise_reflectance": ROUNDED, "denoise_decode": ROUNDED, "denoise_decode_one": ROUNDED,
     "denoise_store": 0.004, "denoise_store_ringed": 0.004,  # one of 255 codes
 }

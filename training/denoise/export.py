@@ -14,7 +14,7 @@ import torch
 from torch import nn
 
 from postfx.kernels.denoise import FINE, GUIDES, HIDDEN, KERNEL, PHASES
-from postfx.kernels.denoise.alpha import CORRECT, GATHER
+from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
@@ -30,7 +30,7 @@ from postfx.kernels.denoise.network_io import (
 from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRENGTH
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE
-from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
+from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, LEVEL, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
 from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
@@ -60,7 +60,7 @@ SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35,
          "finer_h": 63, "finer_w": 97, "coarse_h": 17, "coarse_w": 25,
          "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
          "keep_h": 15, "keep_w": 27, "parts": 3, "cells_h": 3, "cells_w": 5, "means_h": 6, "means_w": 8, "wide": 8,
-         "reached_h": 9, "reached_w": 10}
+         "reached_h": 9, "reached_w": 10, "near_h": 4, "near_w": 7, "planes": 9}
 KERNELS = {
     SCALE: kernels.Scale,
     DILATE: kernels.Dilate,
@@ -85,6 +85,9 @@ KERNELS = {
     UPSAMPLE_LIGHT: extras.UpsampleLight,
     BALANCE: extras.Balance,
     GATHER: extras.Gather,
+    LEVEL: extras.AlphaLevel,
+    ENLARGE_ALPHA: extras.EnlargeAlpha,
+    FIT: extras.Fit,
     CORRECT: extras.Correct,
     DECODE: extras.Decode,
     DECODE_ONE: extras.DecodeOne,

@@ -483,7 +483,7 @@ class Assemble(nn.Module):
 
 
 class Strength(nn.Module):
-    """denoised, plain (H, W, 3), strength (H, W, 1), amount (1,) -> output (H, W, 3), exact at both ends."""
+    """denoised, plain (H, W, C), strength (H, W, 1), amount (1,) -> output (H, W, C), exact at both ends."""
 
     def forward(self, denoised: Tensor, plain: Tensor, strength: Tensor, amount: Tensor) -> Tensor:
         share = ops.sanitise(strength, 0, 1) * ops.sanitise(amount, 0, 1)

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise import MOST_MOTION
+from postfx.kernels.denoise import MOST_MOTION, NEAR_CELL
 from postfx.kernels.denoise import alpha as means
 from postfx.kernels.denoise import history as layout
 from postfx.kernels.denoise.history import SPREAD
@@ -256,7 +256,7 @@ class Detail(nn.Module):
 
 
 class Restore(nn.Module):
-    """colour, denoised (h, w, 3), detail (tiles_high, tiles_wide, 1) -> output (h, w, 3)."""
+    """colour, denoised (h, w, C), detail (tiles_high, tiles_wide, 1) -> output (h, w, C)."""
 
     def forward(self, colour: Tensor, denoised: Tensor, detail: Tensor) -> Tensor:
         share = between(between(detail, colour.shape[0], 0), colour.shape[1], 1)
@@ -370,14 +370,14 @@ class Balance(nn.Module):
 
 
 class Gather(nn.Module):
-    """part (h, w, 3), moved (h, w, 2), samples (2 h, 2 w, 1), doubt (h, w, 1), rates (4,)
+    """alpha (h, w, 1), moved (h, w, 2), samples (2 h, 2 w, 1), doubt (h, w, 1), near (cells, cells), rates (4,)
     -> next_samples (2 h, 2 w, 1), next_doubt (h, w, 1)."""
 
-    def forward(self, values: Tensor, moved: Tensor, samples: Tensor, doubt: Tensor,
+    def forward(self, values: Tensor, moved: Tensor, samples: Tensor, doubt: Tensor, near: Tensor,
                 rates: Tensor) -> tuple[Tensor, Tensor]:
         keep, variance, drift, least = rates.unbind()
         own, motion = ops.sanitise(values[..., 0], 0, 1), to_image(moved)
-        held = (ops.inside(motion)[0, 0] > 0) & (keep > 0)
+        held = (ops.inside(motion)[0, 0] > 0) & (keep > 0) & (_nearness(near, *map(torch.arange, doubt.shape[:2])) > 0)
         before = ops.warp(to_image(samples), ops.enlarge_motion(motion, *samples.shape[:2]), "bicubic")[0, 0]
         predicted = before.unflatten(1, (-1, 2)).unflatten(0, (-1, 2)).permute(1, 3, 0, 2).flatten(0, 1)
         x, y = ((place[0] + 0.5).floor() for place in ops.positions(motion))
@@ -393,11 +393,72 @@ class Gather(nn.Module):
         return found.permute(2, 0, 3, 1).flatten(2, 3).flatten(0, 1)[..., None], left[..., None]
 
 
-class Correct(nn.Module):
-    """filtered (H, W, 3), next_samples (2 h, 2 w, 1), next_doubt (h, w, 1), moved (h, w, 2), gain (3,)
-    -> corrected (H, W, 3)."""
+class AlphaLevel(nn.Module):
+    """next_samples (2 h, 2 w, 1), part_rows (th,), part_columns (tw,), seen_rows (hp,), seen_columns (wp,)
+    -> level (1, hp, wp)."""
 
-    def forward(self, filtered: Tensor, samples: Tensor, doubt: Tensor, moved: Tensor, gain: Tensor) -> Tensor:
+    def forward(self, samples: Tensor, rows: Tensor, columns: Tensor, seen_rows: Tensor,
+                seen_columns: Tensor) -> Tensor:
+        mean = F.avg_pool2d(samples[None, None, ..., 0], 2)
+        mean = ops.pick(mean, rows.long(), columns.long())[0]
+        beyond = [seen.shape[0] - held.shape[0] for seen, held in ((seen_columns, columns), (seen_rows, rows))]
+        return F.pad(mean, (0, beyond[0], 0, beyond[1]))
+
+
+class EnlargeAlpha(nn.Module):
+    """filtered (1, hp, wp), fine, part_rows (th,), part_columns (tw,), params, window, near (cells, cells), out_rows
+    (out_th,), out_columns (out_tw,) -> enlarged (out_th, out_tw, 1)."""
+
+    def forward(self, filtered: Tensor, fine: Tensor, part_rows: Tensor, part_columns: Tensor, params: Tensor,
+                window: Tensor, near: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        frame, (h, w) = Window.of(window), (part_rows.shape[0], part_columns.shape[0])
+        at = frame.centres((rows.long(), columns.long()), fine[0, 0, :h, :w, None])
+        weights = fine[:, KERNEL:network.BLEND, :h, :w].reshape(1, 9, 4, h, w)
+        held = filtered[None, :, :h, :w]
+        now, _ = ops.upsample_at(held, weights, params[None, 1:3], at)
+        own = ops.pick(held, at.rows, at.columns)
+        now = torch.where(_nearness(near, at.rows + frame.top, at.columns + frame.left) > 0, now, own)
+        return to_picture(ops.sanitise(now, 0, 1))
+
+
+class Fit(nn.Module):
+    """picture (H, W, 3), next_samples (2 h, 2 w, 1), near (cells, cells) -> fit (4, h, w)."""
+
+    def forward(self, picture: Tensor, samples: Tensor, near: Tensor) -> Tensor:
+        rows, columns = (_shares_within(one // 2, other) for one, other in
+                         zip(samples.shape[:2], picture.shape[:2], strict=True))
+        colours = rows @ picture.movedim(2, 0) @ columns.T
+        alpha = _around(F.avg_pool2d(samples[None, None, ..., 0], 2)[0, 0])
+        colours = torch.stack([_around(colour) for colour in colours.unbind()])
+        mean, level = colours.mean(-1), alpha.mean(-1)
+        red, green, blue = (colours - mean[..., None]).unbind()
+        alpha = alpha - level[..., None]
+
+        def joint(one: Tensor, other: Tensor) -> Tensor:
+            return (one * other).mean(-1)
+
+        least = float(means.ALIKE) * colours.square().mean(-1).sum(0) + float(means.DARK)
+        first, across, along = joint(red, red) + least, joint(red, green), joint(red, blue)
+        second = torch.maximum(joint(green, green) + least - across / first * across, least)
+        left = joint(green, blue) - across / first * along
+        third = torch.maximum(joint(blue, blue) + least - along / first * along - left / second * left, least)
+        by_red = joint(red, alpha)
+        by_green = joint(green, alpha) - across / first * by_red
+        to_blue = (joint(blue, alpha) - along / first * by_red - left / second * by_green) / third
+        to_green = (by_green - left * to_blue) / second
+        to_red = by_red / first - across / first * to_green - along / first * to_blue
+        found = torch.stack((to_red, to_green, to_blue))
+        found = torch.where(found.abs().sum(0) < float(means.LARGE), found, 0)
+        found = torch.cat((found, (level - (found * mean).sum(0))[None]))
+        return torch.where(_nearness(near, *map(torch.arange, level.shape)) > 0, found, 0)
+
+
+class Correct(nn.Module):
+    """enlarged (H, W, 1), picture (H, W, 3), fit (4, h, w), next_samples (2 h, 2 w, 1), next_doubt (h, w, 1), moved
+    (h, w, 2), near (cells, cells), gain (4,) -> corrected (H, W, 1)."""
+
+    def forward(self, filtered: Tensor, picture: Tensor, fit: Tensor, samples: Tensor, doubt: Tensor, moved: Tensor,
+                near: Tensor, gain: Tensor) -> Tensor:
         value, size, out = filtered[..., 0], doubt.shape[:2], filtered.shape[:2]
         rows, columns = (_shares_within(one, other) for one, other in zip(size, out, strict=True))
         around = _around(rows @ value @ columns.T)
@@ -421,7 +482,19 @@ class Correct(nn.Module):
         line = torch.tensor([float(means.SIDE), float(means.MIDDLE), float(means.SIDE)], dtype=mean.dtype)
         soft = (_around(value) * torch.outer(line, line).flatten()).sum(-1)
         found = value + upper.T @ (weight * lack) @ lower + moves + gain[2] * own(structure) * (value - soft)
-        return ops.sanitise(found, 0, 1)[..., None].expand(-1, -1, 3)
+        found = ops.sanitise(found, 0, 1)
+        factors = upper.T @ torch.stack([_around(plane).mean(-1) for plane in fit.unbind()]) @ lower
+        by_colour = ops.sanitise((factors[:3] * picture.movedim(2, 0)).sum(0) + factors[3], 0, 1)
+        found = found + gain[3] * own(structure) * (by_colour - found)
+        held = own(_nearness(near, *map(torch.arange, size)).to(mean.dtype)) > 1.5
+        found = torch.where(held, found, own(F.avg_pool2d(samples[None, None, ..., 0], 2)[0, 0]))
+        return found[..., None]
+
+
+def _nearness(near: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+    """What cells say of render pixels (rows, columns)."""
+    return part(near[..., None], *((place // NEAR_CELL).clamp(max=size - 1) for place, size in
+                                   zip((rows, columns), near.shape, strict=True)))[0, 0]
 
 
 def _around(plane: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
 """Denoised alpha: composites over three backgrounds with alpha resampled, denoised and true.
 
 python -m training.measure.alpha [--model m] [--scales 1,2]
+python -m training.measure.alpha --cost [--model m]    what alpha takes of a frame's time, one thread
 
 Fur and a translucent disc, drawn by formula: 128x128 at 4 samples a pixel, six frames, still and moving, light with
 exponential noise; the truth has 256 samples a pixel (128 at 2x). Prints PSNR of the last frame's composites as sRGB.
@@ -19,6 +20,7 @@ from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from training.measure.parts import busy
 
 SIDE, HAIRS, FRAMES, SAMPLES = 128, 140, 6, 4
 GREYS = {"black": 0.0, "grey": 0.18, "white": 1.0}
@@ -93,12 +95,40 @@ def measure(model: str, scale: int, name: str, truth: int = 256) -> dict[str, li
     return rows
 
 
+def cost(model: str) -> None:
+    """Print alpha's share of a frame's time for figures with a noisy rim, and where all of alpha is noisy."""
+    random, device = np.random.default_rng(0), Device("cpu", threads=1)
+    colour = random.random((540, 960, 3), np.float32)
+    planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: colour, Role.NORMAL: colour,
+              Role.DEPTH: 1 + colour[..., :1].copy(), Role.MOTION: 0.5 * colour[..., :2].copy()}
+    rows, columns = np.mgrid[:540, :960]
+    frames = {"no alpha": Frame(planes), "all of it": Frame({**planes, Role.ALPHA: colour[..., :1].copy()})}
+    for radius in (120, 200, 260):
+        covered = np.clip(0.5 - (np.hypot(0.9 * (columns - 480), rows - 270) - radius) / 12, 0, 1)
+        alpha = (random.random((540, 960, SAMPLES)) < covered[..., None]).mean(-1, keepdims=True)
+        frames[f"a rim {2 * radius} high"] = Frame({**planes, Role.ALPHA: alpha.astype(np.float32)})
+    runs = {name: Pipeline([DenoiseUpscale(model=model)], device, exposure=0.0) for name in frames}
+    times: dict[str, list[float]] = {name: [] for name in frames}
+    for _ in range(10):
+        for name, frame in frames.items():
+            before = busy()
+            runs[name](frame)
+            times[name].append(busy() - before)
+    alone, *others = (float(np.median(found[3:])) for found in times.values())
+    for name, time in zip(list(frames)[1:], others, strict=True):
+        print(f"{model}, noisy: {name}: {(time - alone) / alone:.1%} of {alone:.0f} ms")
+
+
 def main() -> None:
     """Measure as the command line says."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", default="m")
     parser.add_argument("--scales", default="1,2")
+    parser.add_argument("--cost", action="store_true")
     arguments = parser.parse_args()
+    if arguments.cost:
+        cost(arguments.model)
+        return
     print("| | background | alpha resampled | denoised | true alpha |")
     for scale in arguments.scales.split(","):
         for name in MOVES:

@@ -48,6 +48,8 @@ GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter
 EXPOSURE, JITTER_X, JITTER_Y, GAIN = range(4)
 TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
 UNKNOWN = 1e-3  # share of a reprojected pixel that the history may lack
+NEAR_CELL = 4
+"""Render pixels along a side of the cells of ``near``, outside of which alpha is left alone."""
 TRUST_CELL, DOUBT, FAINT = 8, np.float32(0.7), np.float32(1e-4)
 """Render pixels along a side of the cells in which guides are judged and reflectance is averaged; how much trust
 disagreeing guides lose, and the squared relative detail below which they are not judged."""
@@ -93,9 +95,9 @@ SHAPES = PLANES | GUIDE_PLANES | {
     "state": ("h", "w", STATE), "last_depth": ("h", "w", 1), "past": ("th", "tw", 4),
     "keep": ("keep_h", "keep_w", 1), "features": (1, FEATURES, "hp", "wp"), "fine": (1, FINE, "hp", "wp"),
     "next_state": ("th", "tw", STATE), "next_depth": ("th", "tw", 1), "level": (4, "hp", "wp"),
-    "finer": ("3*parts", "finer_h", "finer_w"), "finer_importance": (1, "finer_h", "finer_w"),
+    "finer": ("planes", "finer_h", "finer_w"), "finer_importance": (1, "finer_h", "finer_w"),
     "importance": (1, "hp", "wp"), "finer_rows": ("hp",), "finer_columns": ("wp",),
-    "coarse": ("3*parts", "coarse_h", "coarse_w"), "coarse_rows": ("hp",), "coarse_columns": ("wp",),
+    "coarse": ("planes", "coarse_h", "coarse_w"), "coarse_rows": ("hp",), "coarse_columns": ("wp",),
     "heads": (1, "heads", "hp", "wp"), "area": (2,), "filtered": (3, "hp", "wp"),
     "radiance": (3, "padded_h", "padded_w"), "output": ("out_th", "out_tw", 3), "next_history": ("out_th", "out_tw", 3),
     "guides": (1, GUIDES, "hp", "wp"), "trust": ("cells_h", "cells_w", 1),

@@ -1,5 +1,5 @@
-// Means of alpha by quarter-pixels over all frames, and their variance: part (h, w, 3), moved (h, w, 2), samples
-// (2 h, 2 w, 1), doubt (h, w, 1), rates (4,): whether there is a past, variance of a frame's alpha, what a move adds,
+// Means of alpha by quarter-pixels over all frames, and their variance: alpha (h, w, 1), moved (h, w, 2), samples
+// (2 h, 2 w, 1), doubt (h, w, 1), near (cells, cells), 0 where nothing before counts, rates (4,): whether there is a past, variance of a frame's alpha, what a move adds,
 // least share of a frame -> next_samples (2 h, 2 w, 1), next_doubt (h, w, 1).
 struct Predicted {
     float quarters[4], own, off, variance;
@@ -10,15 +10,15 @@ __device__ inline bool moves_at(const View& moved, size_t pixel) {
     return fabsf(by.x) >= LEAST_MOTION || fabsf(by.y) >= LEAST_MOTION;
 }
 
-__device__ inline Predicted predicted_at(const View& part, const View& moved, const View& samples, const View& doubt,
-                                         const View& rates, int y, int x) {
-    const int h = part.size[0], w = part.size[1], height = samples.size[0], width = samples.size[1];
+__device__ inline Predicted predicted_at(const View& alpha, const View& moved, const View& samples, const View& doubt,
+                                         const View& near, const View& rates, int y, int x) {
+    const int h = alpha.size[0], w = alpha.size[1], height = samples.size[0], width = samples.size[1];
     const size_t pixel = size_t(y) * w + x;
     const Pair by = pair(moved, pixel);
     const float at_x = float(x) + by.x, at_y = float(y) + by.y;
     Predicted found;
-    found.own = clamped(part.at[3 * pixel], 0.0f, 1.0f);
-    if (!(rates.at[KEEP] > 0.0f && -0.5f <= at_x && at_x <= w - 0.5f && -0.5f <= at_y && at_y <= h - 0.5f)) {
+    found.own = clamped(alpha.at[pixel], 0.0f, 1.0f);
+    if (!(nearness(near, y, x) > 0.0f && rates.at[KEEP] > 0.0f && -0.5f <= at_x && at_x <= w - 0.5f && -0.5f <= at_y && at_y <= h - 0.5f)) {
         for (int i = 0; i < 4; i++) found.quarters[i] = found.own;
         found.off = 0.0f;
         found.variance = -1.0f;
@@ -46,15 +46,16 @@ __device__ inline Predicted predicted_at(const View& part, const View& moved, co
     return found;
 }
 
-extern "C" __global__ void denoise_gather(View part, View moved, View samples, View doubt, View rates,
+extern "C" __global__ void denoise_gather(View alpha, View moved, View samples, View doubt, View near, View rates,
                                           View next_samples, View next_doubt) {
-    const int h = part.size[0], w = part.size[1];
+    const int h = alpha.size[0], w = alpha.size[1];
     PIXEL(w, h);
     Predicted here;
     float apart = 0.0f, level = 0.0f;
     for (int j = -1; j <= 1; j++) {
         for (int i = -1; i <= 1; i++) {
-            const Predicted found = predicted_at(part, moved, samples, doubt, rates, within(y + j, h), within(x + i, w));
+            const Predicted found = predicted_at(alpha, moved, samples, doubt, near, rates, within(y + j, h),
+                                                 within(x + i, w));
             apart += found.off;
             level += found.own - 0.5f * found.off;
             if (i == 0 && j == 0) here = found;
@@ -73,19 +74,22 @@ extern "C" __global__ void denoise_gather(View part, View moved, View samples, V
     next_doubt.at[size_t(y) * w + x] = lost ? rates.at[VARIANCE] : left;
 }
 
-// Alpha, three times, sharper and nearer to the mean of its samples: filtered (H, W, 3), next_samples (2 h, 2 w, 1),
-// next_doubt (h, w, 1), moved (h, w, 2), gain (3,): variance of filtered alpha, noise of its structure, sharpening
-// -> corrected (H, W, 3).
+// Alpha, sharper and nearer to the mean of its samples: enlarged (H, W, 1), next_samples (2 h, 2 w, 1),
+// next_doubt (h, w, 1), moved (h, w, 2), gain (4,): variance of filtered alpha, noise of its structure,
+// sharpening, share of alpha by colours; picture (H, W, 3), fit (4, h, w),
+// near (cells, cells) -> corrected (H, W, 1): the samples' mean where near is below 2.
 __device__ inline int first_within(int at, int size, int out) {
     return int((2 * size_t(out) * at + size - 1) / (2 * size_t(size)));
 }
 
-__device__ inline float mean_within(const View& filtered, int at_y, int at_x, int h, int w) {
+__device__ inline float mean_within(const View& filtered, int at_y, int at_x, int h, int w, int channel = 0) {
     const int top = first_within(at_y, h, filtered.size[0]), bottom = first_within(at_y + 1, h, filtered.size[0]);
     const int left = first_within(at_x, w, filtered.size[1]), right = first_within(at_x + 1, w, filtered.size[1]);
     float total = 0.0f;
+    const int channels = filtered.size[2];
     for (int y = top; y < bottom; y++)
-        for (int x = left; x < right; x++) total += filtered.at[3 * (size_t(y) * filtered.size[1] + x)];
+        for (int x = left; x < right; x++)
+            total += filtered.at[channels * (size_t(y) * filtered.size[1] + x) + channel];
     return total / float((bottom - top) * (right - left));
 }
 
@@ -114,8 +118,7 @@ __device__ inline Lacking lacking_at(const View& filtered, const View& samples, 
     const float found = fmaxf(square / 9.0f - mean * mean - sloped, 0.0f);
     const float structure = found / (found + gain.at[NOISE] * fmaxf(mean * (1.0f - mean), 0.0f) + FAINTEST);
     const float weight = structure * gain.at[EXACT] / (gain.at[EXACT] + doubt.at[size_t(at_y) * w + at_x] + FAINTEST);
-    const float* const upper = samples.at + 4 * size_t(at_y) * w + 2 * at_x;
-    return {structure, weight, (upper[0] + upper[1] + upper[2 * w] + upper[2 * w + 1]) * 0.25f - here};
+    return {structure, weight, pixel_mean(samples, at_y, at_x, w) - here};
 }
 
 // The two of `size` pixels between whose centres one of `out` pixels has its own, and the second one's share.
@@ -142,26 +145,91 @@ __device__ inline float softened(const View& filtered, int y, int x) {
     for (int j = -1; j <= 1; j++)
         for (int i = -1; i <= 1; i++)
             total += (j ? SIDE : MIDDLE) * (i ? SIDE : MIDDLE)
-                     * filtered.at[3 * (size_t(within(y + j, height)) * width + within(x + i, width))];
+                     * filtered.at[size_t(within(y + j, height)) * width + within(x + i, width)];
     return total;
 }
 
-extern "C" __global__ void denoise_correct(View filtered, View next_samples, View next_doubt, View moved, View gain,
-                                           View corrected) {
+// Alpha by colours: picture (H, W, 3), next_samples (2 h, 2 w, 1), near (cells, cells) -> fit (4, h, w): the factors of
+// red, green and blue and the rest that give alpha in 3x3 pixels by least squares; 0 where nothing is near.
+extern "C" __global__ void denoise_fit(View picture, View next_samples, View near, View fit) {
+    const int h = fit.size[1], w = fit.size[2];
+    PIXEL(w, h);
+    const size_t plane = size_t(h) * w, here = size_t(y) * w + x;
+    if (nearness(near, y, x) <= 0.0f) {
+        for (int c = 0; c < 4; c++) fit.at[c * plane + here] = 0.0f;
+        return;
+    }
+    float around[4][9], mean[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+    for (int i = 0; i < 9; i++) {
+        const int at_y = within(y + i / 3 - 1, h), at_x = within(x + i % 3 - 1, w);
+        for (int c = 0; c < 3; c++) around[c][i] = mean_within(picture, at_y, at_x, h, w, c);
+        around[3][i] = pixel_mean(next_samples, at_y, at_x, w);
+        for (int c = 0; c < 4; c++) mean[c] += around[c][i];
+    }
+    float joint[4][4] = {};
+    for (int c = 0; c < 4; c++) mean[c] /= 9.0f;
+    for (int i = 0; i < 9; i++)
+        for (int c = 0; c < 3; c++)
+            for (int d = c; d < 4; d++) joint[c][d] += (around[c][i] - mean[c]) * (around[d][i] - mean[d]);
+    const float squares = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2];
+    const float least = ALIKE * (joint[0][0] + joint[1][1] + joint[2][2] + 9.0f * squares) + DARK;
+    const float first = joint[0][0] + least, by_green = joint[0][1] / first, by_blue = joint[0][2] / first;
+    const float second = fmaxf(joint[1][1] + least - by_green * joint[0][1], least);
+    const float left = joint[1][2] - by_green * joint[0][2];
+    const float third = fmaxf(joint[2][2] + least - by_blue * joint[0][2] - left / second * left, least);
+    const float rest_green = joint[1][3] - by_green * joint[0][3];
+    float by[3];
+    by[2] = (joint[2][3] - by_blue * joint[0][3] - left / second * rest_green) / third;
+    by[1] = (rest_green - left * by[2]) / second;
+    by[0] = joint[0][3] / first - by_green * by[1] - by_blue * by[2];
+    const bool known = fabsf(by[0]) + fabsf(by[1]) + fabsf(by[2]) < LARGE;
+    float rest = mean[3];
+    for (int c = 0; c < 3; c++) {
+        fit.at[c * plane + here] = known ? by[c] : 0.0f;
+        if (known) rest -= by[c] * mean[c];
+    }
+    fit.at[3 * plane + here] = rest;
+}
+
+// Alpha by the colour of an output pixel: the fits of 3x3 pixels, averaged, and interpolated.
+__device__ inline float by_colour(const View& picture, const View& fit, const Beside& rows, const Beside& columns, int y,
+                                  int x) {
+    const int h = fit.size[1], w = fit.size[2];
+    float sums[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+    for (int j = 0; j < 6; j++) {
+        const float down = j < 3 ? 1.0f - rows.share : rows.share;
+        const size_t line = size_t(within((j < 3 ? rows.first : rows.second) + j % 3 - 1, h)) * w;
+        for (int i = 0; i < 6; i++) {
+            const float weight = down * (i < 3 ? 1.0f - columns.share : columns.share);
+            const size_t at = line + within((i < 3 ? columns.first : columns.second) + i % 3 - 1, w);
+            for (int c = 0; c < 4; c++) sums[c] += weight * fit.at[c * size_t(h) * w + at];
+        }
+    }
+    const float* const colour = picture.at + 3 * (size_t(y) * picture.size[1] + x);
+    return (sums[0] * colour[0] + sums[1] * colour[1] + sums[2] * colour[2] + sums[3]) / 9.0f;
+}
+
+extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit, View next_samples, View next_doubt,
+                                           View moved, View near, View gain, View corrected) {
     const int height = corrected.size[0], width = corrected.size[1], h = next_doubt.size[0], w = next_doubt.size[1];
     PIXEL(width, height);
     const Beside rows = beside(y, h, height), columns = beside(x, w, width);
     float offset, lacks[2][2];
     const int at_y = centre(y, h, height, offset), at_x = centre(x, w, width, offset);
+    float* const to = corrected.at + size_t(y) * width + x;
+    if (nearness(near, at_y, at_x) < 2.0f) {
+        *to = pixel_mean(next_samples, at_y, at_x, w);
+        return;
+    }
     for (int j = 0; j < 2; j++) {
         for (int i = 0; i < 2; i++) {
-            const Lacking some = lacking_at(filtered, next_samples, next_doubt, gain, j ? rows.second : rows.first,
+            const Lacking some = lacking_at(enlarged, next_samples, next_doubt, gain, j ? rows.second : rows.first,
                                             i ? columns.second : columns.first);
             lacks[j][i] = some.weight * some.lack;
         }
     }
-    const float value = filtered.at[3 * (size_t(y) * width + x)];
-    const Lacking own = lacking_at(filtered, next_samples, next_doubt, gain, at_y, at_x);
+    const float value = enlarged.at[size_t(y) * width + x];
+    const Lacking own = lacking_at(enlarged, next_samples, next_doubt, gain, at_y, at_x);
     float found = value + mixed(lacks[0][0], lacks[0][1], lacks[1][0], lacks[1][1], columns.share, rows.share);
     if (moves_at(moved, size_t(at_y) * w + at_x)) {
         const Beside down = beside(y, 2 * h, height), across = beside(x, 2 * w, width);
@@ -170,7 +238,8 @@ extern "C" __global__ void denoise_correct(View filtered, View next_samples, Vie
         found += own.weight * (mixed(upper[across.first], upper[across.second], lower[across.first],
                                      lower[across.second], across.share, down.share) - value - own.lack);
     }
-    if (gain.at[SHARPER] > 0.0f) found += gain.at[SHARPER] * own.structure * (value - softened(filtered, y, x));
-    float* const to = corrected.at + 3 * (size_t(y) * width + x);
-    to[0] = to[1] = to[2] = clamped(found, 0.0f, 1.0f);
+    if (gain.at[SHARPER] > 0.0f) found += gain.at[SHARPER] * own.structure * (value - softened(enlarged, y, x));
+    found = clamped(found, 0.0f, 1.0f);
+    found += gain.at[FITTED] * own.structure * (clamped(by_colour(picture, fit, rows, columns, y, x), 0.0f, 1.0f) - found);
+    *to = found;
 }

@@ -253,8 +253,8 @@ extern "C" __global__ void denoise_restore(View colour, View denoised, View deta
     const float upper = top[column.first] + (top[column.second] - top[column.first]) * column.share;
     const float lower = bottom[column.first] + (bottom[column.second] - bottom[column.first]) * column.share;
     const float share = upper + (lower - upper) * row.share;
-    const int here = 3 * (y * width + x);
-    for (int c = 0; c < 3; c++) {
+    const int channels = output.size[2], here = channels * (y * width + x);
+    for (int c = 0; c < channels; c++) {
         const float clean = denoised.at[here + c], noisy = clamped(colour.at[here + c], 0.0f, MAX_FLOAT);
         output.at[here + c] = share == 1.0f ? noisy : clean + (noisy - clean) * share;  // exact where all is detail
     }
@@ -288,8 +288,10 @@ extern "C" __global__ void denoise_strength(View denoised, View plain, View stre
     PIXEL(width, output.size[0]);
     const int here = y * width + x;
     const float share = clamped(strength.at[here], 0.0f, 1.0f) * clamped(amount.at[0], 0.0f, 1.0f);
-    for (int c = 0; c < 3; c++) {
-        const float noisy = plain.at[3 * here + c], clean = denoised.at[3 * here + c];
-        output.at[3 * here + c] = share == 1.0f ? clean : noisy + (clean - noisy) * share;  // both ends are exact
+    const int channels = output.size[2];
+    for (int c = 0; c < channels; c++) {
+        const int at = channels * here + c;
+        const float noisy = plain.at[at], clean = denoised.at[at];
+        output.at[at] = share == 1.0f ? clean : noisy + (clean - noisy) * share;  // both ends are exact
     }
 }

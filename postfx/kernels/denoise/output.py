@@ -197,7 +197,7 @@ def restore_rows(y0: int, y1: int, colour: np.ndarray, denoised: np.ndarray, det
             upper = detail[top, left, 0] + (detail[top, right, 0] - detail[top, left, 0]) * u
             lower = detail[bottom, left, 0] + (detail[bottom, right, 0] - detail[bottom, left, 0]) * u
             share = upper + (lower - upper) * v
-            for c in range(3):
+            for c in range(output.shape[2]):
                 clean, noisy = denoised[y, x, c], clamp(colour[y, x, c], ZERO, MAX_FLOAT)
                 output[y, x, c] = noisy if share == ONE else clean + (noisy - clean) * share
 
@@ -207,8 +207,9 @@ JUDGE = kernel("judge", ("colour", "denoised", "params"), ("sums",), judge_rows,
                denoised=IMAGE, sums=(*TILES, SUMS))
 DETAIL = kernel("detail", ("sums", "evidence"), ("detail",), detail_rows, ("detail", 0), sums=(*TILES, SUMS),
                 evidence=(1,), detail=(*TILES, 1))
-RESTORE = kernel("restore", ("colour", "denoised", "detail"), ("output",), restore_rows, ("output", 0),
-                 denoised=IMAGE, detail=(*TILES, 1), output=IMAGE)
+ANY = (*IMAGE[:2], "channels")
+RESTORE = kernel("restore", ("colour", "denoised", "detail"), ("output",), restore_rows, ("output", 0), colour=ANY,
+                 denoised=ANY, detail=(*TILES, 1), output=ANY)
 
 
 # Tiles and strength
@@ -261,11 +262,11 @@ def strength_rows(y0: int, y1: int, denoised: np.ndarray, plain: np.ndarray, str
     for y in range(y0, y1):
         for x in range(output.shape[1]):
             share = clamp(strength[y, x, 0], ZERO, ONE) * factor
-            for c in range(3):
+            for c in range(output.shape[2]):
                 noisy, clean = plain[y, x, c], denoised[y, x, c]
                 output[y, x, c] = clean if share == ONE else noisy + (clean - noisy) * share
 
 
-IMAGE = ("height", "width", 3)
+OUT = ("height", "width", "channels")
 STRENGTH = kernel("strength", ("denoised", "plain", "strength", "amount"), ("output",), strength_rows, ("output", 0),
-                  denoised=IMAGE, plain=IMAGE, output=IMAGE, strength=("height", "width", 1), amount=(1,))
+                  denoised=OUT, plain=OUT, output=OUT, strength=("height", "width", 1), amount=(1,))

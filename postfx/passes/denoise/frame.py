@@ -70,7 +70,7 @@ class Assembly:
             return self._slots
         self._tables = {name: ArgumentTable(self._state) for name in names}
         for name in names:
-            channels = CHANNELS.get(name, 3)
+            channels = targets[name].shape[2]
             size = (window.out.rows, window.out.columns) if name.startswith(OUT) else (window.rows, window.columns)
             one = size[0] * size[1] * channels
             stack = self._stacks.get(name)

@@ -173,9 +173,10 @@ class LayerHistory:
 
     def __init__(self, device: Device, name: str, output: Size, outputs: Sequence[Tensor] = (),
                  channels: Mapping[str, int] = MappingProxyType({})) -> None:
-        """`channels`: further tensors of render size that a frame leaves to the next."""
-        self._device, self._channels = device, {"last_part": 3, **channels}
-        self._outputs = list(outputs) or [make_zeros(device, f"last {name}", (*output, 3)) for _ in range(2)]
+        """`channels`: tensors of render size that a frame leaves to the next, in place of its output and values."""
+        self._device, self._channels = device, dict(channels) or {"last_part": 3}
+        size = (1, 1, 1) if channels else (*output, 3)
+        self._outputs = list(outputs) or [make_zeros(device, f"last {name}", size) for _ in range(2)]
         self._rooms: list[Room] = []
         self._size: Shape = (0, 0)
         self.frames, self.resized = 0, False
@@ -192,7 +193,7 @@ class LayerHistory:
             self._rooms = self._make_rooms()
         elif self.resized:
             self._rooms.reverse()
-        if keep and before and self.resized:
+        if keep and self.resized and "last_part" in before:
             self._resize(commands, before["last_part"])
         return keep
 
@@ -232,7 +233,8 @@ class LayerHistory:
         """Between two frames: replace the values that the last one left by those `kept`."""
         self.frames = int(kept["frames"]) if kept else 0
         if self.frames:
-            self._size = kept["last_part"].shape[0], kept["last_part"].shape[1]
+            height, width, _ = kept[next(iter(self._channels))].shape
+            self._size = height, width
             self._rooms = self._make_rooms()
             for name, tensor in self.next.items():
                 tensor.upload(kept[name])

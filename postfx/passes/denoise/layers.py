@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, REFLECT, UPSAMPLE_LIGHT
-from postfx.kernels.denoise.pyramid import REMODULATE
-from postfx.passes.denoise.history import alone, one_of, some_of
+from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, LEVEL, REMODULATE
+from postfx.passes.denoise.history import ALPHA_LAYER, alone, one_of, some_of
 from postfx.passes.denoise.network import PLAIN, Graph, Tables, upload
 from postfx.passes.denoise.tiling import Window
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Tensor
@@ -65,10 +65,14 @@ class LayerGraph(Graph):
             self._nothing = {name: upload(self._device.heap, f"no {name}", array) for name, array in nothing.items()}
             self._stacks: dict[int, dict[str, Tensor]] = {}
             self._layer_tables: dict[int, Tables] = {}
+            self._alpha_order: list[str] = []
         whole = window == Window.whole(window.frame)
         for some in _together(layers, TOGETHER if whole and not self._device.scratch else 1):
             past = {"past": self._made["past"], "keep": self._keep(tensors, masked)}
             seen = {**tensors, **(self._nothing if some[0].alone else past)}
+            if some[0].name == ALPHA_LAYER:
+                self._encode_alpha(commands, some[0], window, model, tensors)
+                continue
             self._encode_some(commands, some, window, model, seen)
 
     def _encode_some(self, commands: CommandBuffer, layers: Sequence[Layer], window: Window, model: str,
@@ -92,6 +96,22 @@ class LayerGraph(Graph):
                         self._run_with(encoder, tables[name], own)
                 encoder.barrier()
             self._run_with(encoder, end, {})
+
+    def _encode_alpha(self, commands: CommandBuffer, layer: Layer, window: Window, model: str,
+                      tensors: Mapping[str, Tensor]) -> None:
+        """Filter and enlarge the mean of alpha's samples."""
+        if not self._alpha_order:
+            self._alpha_tables, level = self._new_tables(), self._new("level of alpha", (1, *self._window.level(0)))
+            filtered, self._alpha_order = self._make_pyramid(self._alpha_tables, level)
+            self._table(self._alpha_tables, "level", LEVEL, level=level)
+            self._table(self._alpha_tables, "enlarge", ENLARGE_ALPHA, filtered=filtered)
+        tables, heads = self._alpha_tables[self._half[model]], self._heads[model]
+        self._bind(tables, {**tensors, **layer.tensors, "fine": heads["fine"]}, self._place(window), heads)
+        tables["enlarge"]["enlarged"] = tensors[f"light {layer.name}"]
+        with commands.compute_encoder("alpha") as encoder:
+            for i, name in enumerate(("level", *self._alpha_order[1:], "enlarge")):
+                encoder.barrier(**{} if i else {"after": "compute", "before": "compute"})
+                self._run(encoder, tables, name)
 
     def _share(self, layer: Layer, i: int, stacks: Mapping[str, Tensor],
                tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

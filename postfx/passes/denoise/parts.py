@@ -25,7 +25,7 @@ from postfx.passes.denoise.history import (
 )
 from postfx.passes.denoise.layers import Layer
 from postfx.passes.denoise.options import Size
-from postfx.passes.denoise.planes import ABSENT, Alpha, Resampler, Restore, Strength, absent_plane
+from postfx.passes.denoise.planes import ABSENT, Alpha, Resampler, Restore, Strength, absent_plane, three_by_three
 from postfx.passes.denoise.tiling import Rows
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 
@@ -102,7 +102,8 @@ class Layers:
         for tensor in self._everywhere.values():
             tensor.fill(1)
         self._reached = dict(self._everywhere)
-        self._plain = Resampler(device, "plain part", Role.COLOUR, self._render, output)
+        self._plain, self._plain_alpha = (Resampler(device, f"plain {name}", role, self._render, output)
+                                          for name, role in (("part", Role.COLOUR), ("alpha", Role.ALPHA)))
         self._copies: dict[str, Tensor] = {}
         self._identity = new("as it is", (5,))
         self._identity.upload([1.0, 0.0, -LARGEST, LARGEST, 0.0])
@@ -114,7 +115,8 @@ class Layers:
               keep: bool) -> tuple[list[Layer], dict[str, Tensor]]:
         """The tensors that the kernels read and write, by 'light NAME' and the like, with the picture's output if there
         is light."""
-        self._plain.aim(frame.jitter)
+        for plain in (self._plain, self._plain_alpha):
+            plain.aim(frame.jitter)
         self._exposure = float(params[EXPOSURE])
         self._params.upload([1.0, *params[JITTER_X:GAIN], 1.0])
         self._exposed.upload([*params[:GAIN], 1.0])
@@ -129,15 +131,18 @@ class Layers:
                 history.follow()
                 continue
             fresh = history.turn(commands, self._render, keep)
+            if name == ALPHA_LAYER and self._alpha:
+                tensors = {"params": self._params, **self._alpha.gather(commands, frame, planes, history, fresh)}
+                targets[f"light {name}"] = self._alpha.enlarged
+                runs.append(Layer(name, tensors, True, self._alpha.enlarged, self._alpha.enlarged, 0))
+                continue
             output, part = history.output, history.next["last_part"]
             tensors = {"params": self._exposed if name == WHOLE else self._params}
             if name != WHOLE:
                 tensors |= {"last_part": history.last["last_part"], **self._inputs(name, frame, planes)}
                 targets[f"next_part {name}"] = part
             last, stack, place = alone(history.last["history"]), alone(output), self._places.get(name, 0)
-            if name == ALPHA_LAYER and self._alpha:
-                self._alpha.gather(commands, frame, planes, self._raw[name], history, fresh)
-            elif name in self._places:
+            if name in self._places:
                 last, stack = self._history.stacks
             if self._is_light(name):
                 stack = self._stack("blended")
@@ -186,17 +191,19 @@ class Layers:
         for name in self._runs:
             if name == WHOLE:
                 continue
+            is_alpha = name == ALPHA_LAYER
             value = self._history.layer(name).output
-            if name == ALPHA_LAYER and self._alpha:
-                value = self._alpha.correct(commands, value)
+            if self._alpha and is_alpha:
+                value = self._alpha.correct(commands, denoised)
             elif not self._is_light(name) and self._kind(name) != DEPTH:
                 value = self._decoded(commands, name, value)
+            raw = frame[Role.ALPHA] if is_alpha else self._raw[name]
             if restore and restoring and self._kind(name) not in SIGNED:
-                place = self._between(f"restored {name}", 3) if blending else self._finished(name)
-                value = restore.encode_part(commands, self._raw[name], value, place)
+                place = self._between(f"restored {name}", value.shape[2]) if blending else self._finished(name)
+                value = restore.encode_part(commands, raw, value, place)
             if strength and blending:
-                value = strength.encode_part(commands, self._raw[name], value, rows, self._plain,
-                                             self._finished(name))
+                plain = self._plain_alpha if is_alpha else self._plain
+                value = strength.encode_part(commands, raw, value, rows, plain, self._finished(name))
             values[name] = value
         values |= {name: self._resampled(commands, frame, name) for name in self._parts if self._kind(name) == FACTOR}
         self._leave_all(commands, frame, values, picture, restoring or blending)
@@ -292,9 +299,9 @@ class Layers:
 
     def _three(self, name: str, frame: ResidentFrame) -> Tensor:
         """A layer's values with three channels, as the kernels need them."""
-        if name != ALPHA_LAYER and self._channels[name] == 3 and self._kind(name) != DEPTH:
+        if self._channels[name] == 3 and self._kind(name) != DEPTH:
             return frame.parts[name]
-        given = frame.host_planes[Role.ALPHA] if name == ALPHA_LAYER else frame.host_parts[name]
+        given = frame.host_parts[name]
         if self._kind(name) == DEPTH:
             given, decoding = encode_depth(given)
             self._decodings[name].upload(decoding)
@@ -342,7 +349,10 @@ class Layers:
 
     def _leave(self, commands: CommandBuffer, frame: ResidentFrame, name: str, value: Tensor) -> None:
         """Put a layer into the frame."""
-        channels, is_depth = 1 if name == ALPHA_LAYER else self._channels[name], self._kind(name) == DEPTH
+        if name == ALPHA_LAYER:
+            frame.set(Role.ALPHA, value)
+            return
+        channels, is_depth = self._channels[name], self._kind(name) == DEPTH
         if channels == value.shape[2] and not is_depth:
             frame.parts[name] = value
             return
@@ -352,16 +362,13 @@ class Layers:
         with commands.compute_encoder("decode") as encoder:
             encoder.barrier(after="compute", before="compute")
             encoder.dispatch(table.state, table)
-        if name == ALPHA_LAYER:
-            frame.set(Role.ALPHA, output)
-        else:
-            frame.parts[name] = output
+        frame.parts[name] = output
 
     def _finished(self, name: str) -> Tensor:
         """The tensor for a layer that is given detail back, or blended with the input."""
         if self._is_light(name):
             return one_of(self._stack("finished"), self._places[name])
-        return self._between(f"finished {name}", 3)
+        return self._between(f"finished {name}", 1 if name == ALPHA_LAYER else 3)
 
     def _between(self, name: str, channels: int) -> Tensor:
         """A picture within a frame."""
@@ -389,22 +396,14 @@ def coverage(lit: np.ndarray, may_be_sparse: bool) -> np.ndarray:
     Light that `may_be_sparse` misses pixels by chance, so all pixels have it unless lit ones lie together.
     """
     seen = lit.astype(np.float32)
-    share = _three_by_three(seen, 1, np.add) / np.float32(9)
+    share = three_by_three(seen, 1, np.add) / np.float32(9)
     unlit = (1 - seen) * (1 - share)
     if may_be_sparse:
-        around, together = (_three_by_three(plane, 3, np.add) for plane in (
-            share, _three_by_three(seen * share, 1, np.add) / np.float32(9)))
+        around, together = (three_by_three(plane, 3, np.add) for plane in (
+            share, three_by_three(seen * share, 1, np.add) / np.float32(9)))
         dense = np.clip((together / np.maximum(around, 1e-6) - DENSE) / (DENSER - DENSE), 0, 1)
-        unlit *= np.where(around > 1e-6, _three_by_three(dense, 3, np.maximum), 1)
+        unlit *= np.where(around > 1e-6, three_by_three(dense, 3, np.maximum), 1)
     return 1 - unlit
-
-
-def _three_by_three(plane: np.ndarray, step: int, join: np.ufunc) -> np.ndarray:
-    """3x3 pixels of a plane (h, w), so many apart, joined; edge repeated."""
-    wide, last = np.pad(plane, step, "edge"), -2 * step
-    rows = join(join(wide[:last], wide[step:-step]), wide[2 * step:])
-    found: np.ndarray = join(join(rows[:, :last], rows[:, step:-step]), rows[:, 2 * step:])
-    return found
 
 
 def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:

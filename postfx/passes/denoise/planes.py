@@ -12,7 +12,8 @@ import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
 from postfx.kernels import Kernel
-from postfx.kernels.denoise.alpha import CORRECT, GATHER
+from postfx.kernels.denoise import NEAR_CELL
+from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER, bounds_of_cells
 from postfx.kernels.denoise.history import REACTIVE
 from postfx.kernels.denoise.output import DETAIL, JUDGE, RESTORE, STRENGTH, SUMS, TILE
 from postfx.kernels.denoise.prepare import DILATE
@@ -261,39 +262,51 @@ class Restore:
         return ArgumentTable(device.compute_state(kernel), {k: v for k, v in self._tensors.items() if k in names})
 
 
-FEW_SAMPLES, DRIFT, SETTLED, LONGEST, RANDOM, SHARPER = 4, 1 / 32, 12, 16, 1 / 48, 0.5
+FEW_SAMPLES, DRIFT, SETTLED, LONGEST, RANDOM, SHARPER, BY_COLOUR = 4, 1 / 32, 6, 16, 1 / 48, 0.4, 0.5
 """Samples a pixel of files that do not say. Variance, in units of a sample's, that a move adds to a mean of alpha; as
 how many samples filtered alpha counts; frames over which still alpha is averaged; variance in a sample's units that
-structure is compared with; and how much sharper alpha is made that is twice as large."""
+structure is compared with; how much sharper alpha is made that is twice as large; and the share of alpha that comes
+from colours where it has structure."""
 
 
 class Alpha:
     """Brings filtered alpha nearer to a mean of its samples over the frames, which knows the quarters of a pixel where
-    things move by parts of one."""
+    things move by parts of one, and to the colours. Where alpha is 0 or 1 all around, there is nothing to do.
+
+    Attributes:
+        enlarged: where filtered alpha goes.
+    """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
         self._scale = min(max(output.width / spec.width - 1, 0.0), 1.0)
         new, between = device.heap.tensor, device.heap.transient
-        self._rates, self._gain = new("rates of alpha", (4,)), new("gain of alpha", (3,))
+        self._rates, self._gain = new("rates of alpha", (4,)), new("gain of alpha", (4,))
         rows, columns = (device.wrap(name, np.arange(size, dtype=np.float32)) for name, size in
                          (("alpha rows", spec.height), ("alpha columns", spec.width)))
-        moved, self._output = between("motion of alpha", (spec.height, spec.width, 2)), between("alpha", (*output, 3))
+        moved = between("motion of alpha", (spec.height, spec.width, 2))
+        self._output, self.enlarged = between("alpha", (*output, 1)), between("enlarged alpha", (*output, 1))
         self._dilate = ArgumentTable(device.compute_state(DILATE), {
             "part_rows": rows, "part_columns": columns, "moved": moved})
-        self._gather = ArgumentTable(device.compute_state(GATHER), {"moved": moved, "rates": self._rates})
+        self._near = new("near alpha", (-(-spec.height // NEAR_CELL), -(-spec.width // NEAR_CELL)))
+        self._gather = ArgumentTable(device.compute_state(GATHER), {
+            "moved": moved, "rates": self._rates, "near": self._near})
+        fit = between("alpha by colours", (4, spec.height, spec.width))
+        self._fit = ArgumentTable(device.compute_state(FIT), {"near": self._near, "fit": fit})
         self._correct = ArgumentTable(device.compute_state(CORRECT), {
-            "moved": moved, "gain": self._gain, "corrected": self._output})
+            "enlarged": self.enlarged, "moved": moved, "near": self._near, "gain": self._gain, "fit": fit,
+            "corrected": self._output})
 
-    def gather(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor], alpha: Tensor,
-               history: LayerHistory, keep: bool) -> None:
-        """Record the work that adds a frame's own alpha (h, w, 3) to the mean. Jittered alpha does not lie where the
-        pixels do, and counts for nothing."""
+    def gather(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
+               history: LayerHistory, keep: bool) -> dict[str, Tensor]:
+        """Record the work that adds a frame's own alpha to the mean; returns what filters read of it. Jittered alpha
+        does not lie where the pixels do, and counts for nothing but in its own frame."""
         samples, jittered = frame.samples or FEW_SAMPLES, frame.jitter != (0.0, 0.0)
+        self._near.upload(near_cells(frame.host_planes[Role.ALPHA][..., 0]))
         self._rates.upload([float(keep and not history.resized and not jittered), 1 / samples, DRIFT, 1 / LONGEST])
         self._gain.upload([0.0 if jittered else 1 / SETTLED, RANDOM / samples,
-                           0.0 if jittered else SHARPER * self._scale])
+                           0.0 if jittered else SHARPER * self._scale, 0.0 if jittered else BY_COLOUR])
         self._dilate["motion"], self._dilate["depth"] = planes[Role.MOTION], planes[Role.DEPTH]
-        self._gather["part"] = alpha
+        self._gather["alpha"] = frame[Role.ALPHA]
         for name, tensors in (("", history.last), ("next_", history.next)):
             quarters = tensors["samples"]
             self._gather[f"{name}doubt"] = tensors["doubt"]
@@ -301,19 +314,42 @@ class Alpha:
                 quarters.name, (2 * quarters.shape[0], 2 * quarters.shape[1], 1))
         for name in ("next_samples", "next_doubt"):
             self._correct[name] = self._gather[name]
+        self._fit["next_samples"] = self._gather["next_samples"]
         with commands.compute_encoder("gather alpha") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._dilate.state, self._dilate)
             encoder.barrier()
             encoder.dispatch(self._gather.state, self._gather)
+        return {"next_samples": self._fit["next_samples"], "near": self._near}
 
-    def correct(self, commands: CommandBuffer, filtered: Tensor) -> Tensor:
-        """Record the work on filtered alpha; returns it, three times."""
-        self._correct["filtered"] = filtered
+    def correct(self, commands: CommandBuffer, picture: Tensor) -> Tensor:
+        """Record the work on alpha that was filtered and enlarged, given the picture that the filters made; returns
+        alpha."""
+        self._correct["picture"] = self._fit["picture"] = picture
         with commands.compute_encoder("correct alpha") as encoder:
             encoder.barrier(after="compute", before="compute")
+            encoder.dispatch(self._fit.state, self._fit)
+            encoder.barrier()
             encoder.dispatch(self._correct.state, self._correct)
         return self._output
+
+
+def near_cells(alpha: np.ndarray) -> np.ndarray:
+    """Cells of alpha (h, w): 2 where 3x3 of them are not all alike, 1 beside those, else 0."""
+    cells = [-(-side // NEAR_CELL) for side in alpha.shape]
+    low, high = np.empty(cells, np.float32), np.empty(cells, np.float32)
+    bounds_of_cells(alpha, low, high)
+    differ = three_by_three(low, 1, np.minimum) != three_by_three(high, 1, np.maximum)
+    found: np.ndarray = differ + three_by_three(differ, 1, np.maximum).astype(np.float32)
+    return found
+
+
+def three_by_three(plane: np.ndarray, step: int, join: np.ufunc) -> np.ndarray:
+    """3x3 pixels of a plane (h, w), so many apart, joined; edge repeated."""
+    wide, last = np.pad(plane, step, "edge"), -2 * step
+    rows = join(join(wide[:last], wide[step:-step]), wide[2 * step:])
+    found: np.ndarray = join(join(rows[:, :last], rows[:, step:-step]), rows[:, 2 * step:])
+    return found
 
 
 class Plain:
