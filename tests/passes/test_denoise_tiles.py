@@ -223,7 +223,7 @@ def test_nothing_active_runs_no_network_and_drops_the_history(device: Device, ro
 
 def test_a_mask_that_moves_every_frame_makes_few_networks_ready(device: Device, monkeypatch) -> None:
     made, make = [], device.pipeline_state
-    monkeypatch.setattr(device, "pipeline_state", lambda *args: made.append(args) or make(*args))
+    monkeypatch.setattr(device, "pipeline_state", lambda *args, **named: made.append(args) or make(*args, **named))
     tiled = chain(device, model="s")
     for number in range(24):
         size = 40 + 3 * number
