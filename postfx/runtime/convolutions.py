@@ -130,7 +130,7 @@ class Layer:
         return np.ascontiguousarray(found, HALF)
 
 
-class Unfit(Exception):
+class Unfit(ValueError):
     """The network has something that the kernels do not compute."""
 
 
