@@ -1,5 +1,6 @@
 """What the host looks at in a frame's planes before it is uploaded, in one thread: whether all numbers are finite, the
-light of blocks of pixels, on which exposure is metered, and a coarse grid's cells, by which cuts are found.
+light of blocks of pixels, on which exposure is metered, a coarse grid's cells, by which cuts are found, and where alpha
+differs.
 
 Loops over rows become vector instructions. Sums keep their order, so that a multiplier does not depend on them.
 """
@@ -235,3 +236,15 @@ def true_correlation(before: np.ndarray, now: np.ndarray, least_spread: Real, le
     if not raw == raw or min(first, second) < least_reliability:
         return np.nan
     return raw / np.sqrt(first * second)
+
+
+@compiled
+def bounds_of_cells(plane: np.ndarray, side: int, low: np.ndarray, high: np.ndarray) -> None:
+    """The lowest and highest value, 0 to 1, of a plane (h, w) in each cell of so many pixels along a side."""
+    (h, w), (_, wide) = plane.shape, low.shape
+    low[:], high[:] = np.float32(1), np.float32(0)
+    for y in range(h):
+        row, least, most = plane[y], low[y // side], high[y // side]
+        for k in range(wide):
+            for x in range(k * side, min((k + 1) * side, w)):
+                least[k], most[k] = min(least[k], row[x]), max(most[k], row[x])

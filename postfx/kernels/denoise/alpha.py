@@ -18,17 +18,7 @@ import numpy as np
 
 from postfx.kernels.denoise import NEAR_CELL, kernel
 from postfx.kernels.denoise.history import cubic
-from postfx.kernels.numeric import (
-    Four,
-    Real,
-    add_eight,
-    centre,
-    clamp,
-    compiled,
-    fused,
-    inline,
-    load_eight,
-)
+from postfx.kernels.numeric import Four, Real, add_eight, centre, clamp, compiled, fused, inline, load_eight
 
 ZERO, QUARTER, HALF, ONE, TWO = np.float32(0), np.float32(0.25), np.float32(0.5), np.float32(1), np.float32(2)
 SIX, NINE, NINTH, LARGE = np.float32(6), np.float32(9), np.float32(1 / 9), np.float32(1e30)
@@ -49,18 +39,6 @@ LIMIT_OFF, LEAST_OFF = np.float32(9), np.float32(4e-4)
 SIDE, MIDDLE = np.float32(0.27406862), np.float32(0.45186276)
 """Weights of three pixels by a Gaussian of one pixel."""
 QUARTERS, NEAR = ("2*h", "2*w", 1), ("near_h", "near_w")
-
-
-@compiled
-def bounds_of_cells(alpha: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-    """The lowest and highest alpha (h, w) in each cell."""
-    (h, w), (_, wide) = alpha.shape, low.shape
-    low[:], high[:] = ONE, ZERO
-    for y in range(h):
-        row, least, most = alpha[y], low[y // NEAR_CELL], high[y // NEAR_CELL]
-        for k in range(wide):
-            for x in range(k * NEAR_CELL, min((k + 1) * NEAR_CELL, w)):
-                least[k], most[k] = min(least[k], row[x]), max(most[k], row[x])
 
 
 @compiled

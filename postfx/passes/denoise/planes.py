@@ -13,11 +13,12 @@ import numpy as np
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import NEAR_CELL
-from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER, bounds_of_cells
+from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.history import REACTIVE
 from postfx.kernels.denoise.output import DETAIL, JUDGE, RESTORE, STRENGTH, SUMS, TILE
 from postfx.kernels.denoise.prepare import DILATE
 from postfx.kernels.image import ENLARGE, RESAMPLE, positions
+from postfx.kernels.statistics import bounds_of_cells
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.history import LayerHistory
 from postfx.passes.denoise.options import ReactiveOption, Size
@@ -338,7 +339,7 @@ def near_cells(alpha: np.ndarray) -> np.ndarray:
     """Cells of alpha (h, w): 2 where 3x3 of them are not all alike, 1 beside those, else 0."""
     cells = [-(-side // NEAR_CELL) for side in alpha.shape]
     low, high = np.empty(cells, np.float32), np.empty(cells, np.float32)
-    bounds_of_cells(alpha, low, high)
+    bounds_of_cells(alpha, NEAR_CELL, low, high)
     differ = three_by_three(low, 1, np.minimum) != three_by_three(high, 1, np.maximum)
     found: np.ndarray = differ + three_by_three(differ, 1, np.maximum).astype(np.float32)
     return found
