@@ -265,7 +265,7 @@ def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[in
     if len(names) == 1:
         return locate(names[0])
     paths = [Path(with_slashes(os.path.expanduser(name))) for name in names]
-    absent = [path for path in paths if not path.is_file()]
+    absent = [path for path in paths if not os.path.isfile(path)]
     if absent or not paths:
         raise SequenceError(f"{absent[0] if absent else 'INPUT'}: no such file: check the folder, or put a pattern "
                             "like 'shot.####.exr' in quotes")
@@ -277,8 +277,8 @@ def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
     wild = pattern.prefix + ("*" if pattern.is_numbered else "") + pattern.suffix
     wild = wild.replace(PLANE, "*").replace(VIEW, "*")
     found = sorted(map(Path, _glob(wild)))
-    folders = [path for path in found if path.is_dir()]
-    paths = [path for path in found if path.is_file() and path.suffix.lower() in READABLE]
+    folders = [path for path in found if os.path.isdir(path)]  # False without the right to look
+    paths = [path for path in found if os.path.isfile(path) and path.suffix.lower() in READABLE]
     if not paths and len(folders) == 1:
         return _folder_pattern(folders[0]), None
     if not paths:

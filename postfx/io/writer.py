@@ -143,7 +143,7 @@ def write_frame(
 def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:
     """Whether a file holds a readable image whose display window is of this size: every pixel of it is decoded, and all
     else that an OpenEXR file holds is there."""
-    image = oiio.ImageInput.open(str(path)) if Path(path).is_file() else None
+    image = oiio.ImageInput.open(str(path)) if os.path.isfile(path) else None
     if image is None:
         reason_of(oiio.geterror)
         return False
@@ -389,7 +389,7 @@ def _output_pattern(target: str, source: Pattern) -> Pattern:
         raise WriteError(f"{make_printable(target)}: is not UTF-8: choose another name")
     if PLANE in target:
         raise WriteError(f"{target}: {PLANE} is for input: leave it out, the planes of a frame go into one file")
-    if not (target.endswith("/") or Path(target).is_dir() or not Path(target).suffix):
+    if not (target.endswith("/") or os.path.isdir(target) or not Path(target).suffix):
         return parse_pattern(target)
     name = Path(str(source)).name.replace(PLANE, "frame")
     if source.has_views and VIEW not in name:

@@ -1,5 +1,6 @@
 """Patterns, ranges, folders and holes."""
 
+import os
 import re
 from pathlib import Path
 
@@ -229,3 +230,18 @@ def test_wildcards_lists_and_the_home_folder(shot, tmp_path, monkeypatch):
             locate(source)
     (tmp_path / "shot.0001.exr").rename(tmp_path / "a[1]*.0001.exr")  # a name means itself first
     assert locate("a[1]*.####.exr")[0].path(1).name == "a[1]*.0001.exr"
+
+
+def test_wildcards_pass_over_what_may_not_be_looked_at(tmp_path, monkeypatch):
+    """Linux, for one, refuses to say what some entries of /proc are."""
+    (tmp_path / "shut").mkdir()
+    (tmp_path / "shot.0001.exr").touch()
+    look = os.stat
+
+    def refuse(path, *args, **options):
+        if str(path).endswith("shut"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return look(path, *args, **options)
+
+    monkeypatch.setattr(os, "stat", refuse)
+    assert str(locate(tmp_path / "sh*")[0]) == str(tmp_path / "shot.####.exr")
