@@ -59,8 +59,7 @@ class Device:
             options of its own, and library=, a plug-in's file or package. Kernels and tensors stay on the CPU, and so
             do nodes that it cannot run; 'auto' then means the CPU.
         convolutions: on a GPU, run networks of convolutions in half precision as kernels of our own instead of by ONNX
-            Runtime, and keep the denoiser's heads and features in half precision, too. All agrees when emulated, but
-            has not run on a GPU.
+            Runtime.
 
     Attributes:
         models: name -> SHA-256 of the networks that are loaded, or may be for frames of another size.

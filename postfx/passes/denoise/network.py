@@ -217,7 +217,8 @@ def _table(state: PipelineState, kernel: Kernel, **tensors: Tensor) -> ArgumentT
 
 
 def _is_half(state: PipelineState) -> bool:
-    return state.device.convolutions and state.device.gpu is not None and f"{PACKED}features" in state.shapes
+    """Whether heads and features stay in half precision: beside such a network on a GPU."""
+    return state.device.gpu is not None and f"{PACKED}features" in state.shapes
 
 
 def _kernel_for(kernel: Kernel, half: bool) -> Kernel:
