@@ -16,7 +16,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from postfx.frame import DEPTH_MISS, Frame, Role
-from postfx.kernels.statistics import band_of, half_means, mix_places, pair_means, places_inside, true_correlation
+from postfx.kernels.statistics import (
+    band_of,
+    half_means,
+    mix_places,
+    pair_means,
+    places_inside,
+    share,
+    true_correlation,
+)
 from postfx.sampling import bilinear
 
 RELATED = 0.65
@@ -137,7 +145,7 @@ def _picture(frame: Frame) -> Picture | None:
     if rows * columns < LEAST_COMPARED:
         return None
     halves = np.empty((2, rows, columns))
-    half_means(colour, block, halves)
+    share(lambda first, last: half_means(first, last, colour, block, halves), rows, colour.nbytes)
     mean = np.sqrt(halves).mean() ** 2
     light = np.log2(halves + (FLOOR * mean or 1.0))
     guides = {role: _cells(frame[role], block) for role in (Role.DIFFUSE_ALBEDO, Role.NORMAL) if role in frame}

@@ -17,13 +17,14 @@ from postfx.cuts import CutDetector
 from postfx.errors import CutError, ExposureError, FrameError, PassContractError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import GUIDE_ROLES, LOG, Frame, FrameSpec, Role
+from postfx.kernels.statistics import lend
 from postfx.passes import MOST_SIZES, Downloads, Pass, ResidentFrame, share_planes, spec_of
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skip, Step, make_plan
 from postfx.repair import is_unusable, repair_nonfinite
 from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor, default_device
 from postfx.runtime.encoders import Recordings
-from postfx.runtime.memory import address
+from postfx.runtime.memory import Reused, address
 
 MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
 """Planes and guides of all sizes that are kept ready."""
@@ -103,7 +104,8 @@ class Pipeline:
         """
         try:
             # planes may have been put into it since it was made
-            return self._process(dataclasses.replace(frame, metadata=dict(frame.metadata)))
+            with lend(self.device.lent):
+                return self._process(dataclasses.replace(frame, metadata=dict(frame.metadata)))
         except BaseException:
             self._reset_passes()
             for own in self._views.values():
@@ -135,8 +137,7 @@ class Pipeline:
         return dataclasses.replace(result, views=views)
 
     def _process_view(self, name: str, frame: Frame) -> Frame:
-        own = self._of_view(name)
-        result = own(frame)
+        result = (own := self._of_view(name))(frame)
         self.ahead += own.ahead
         self.timings = {step: self.timings.get(step, 0.0) + own.timings.get(step, 0.0)
                         for step in {**self.timings, **own.timings}}
@@ -378,13 +379,13 @@ class Flow:
         self._copies: LRUCache[tuple[str, tuple[int, ...]], Tensor] = LRUCache(MOST_COPIES)
         self._inputs: dict[str, Tensor] = {}  # the last frame's
         self._recordings = Recordings()
+        self._results = Reused()
         self.timings: dict[str, float] = {}
 
     def forget(self) -> None:
         """Release the memory that was kept ready for the frames so far."""
-        self._copies.clear()
-        self._inputs.clear()
-        self._recordings.clear()
+        for kept in (self._copies, self._inputs, self._recordings, self._results):
+            kept.clear()
 
     def run(self, frame: Frame, plan: Plan, exposure: float, unusable: bool, given: Frame) -> Frame:
         """The frame that comes out. Planes that no pass touches, and all that is not a plane, come from `given`."""
@@ -394,7 +395,7 @@ class Flow:
             self._run(plan.steps, resident)
             for step in plan.steps:
                 step.instance.note_time(self.timings[step.name])
-            return _finish(given, plan, resident, inputs)
+            return _finish(given, plan, resident, inputs, self._results)
 
     def run_away(self, resident: ResidentFrame, plan: Plan) -> dict[Role, Tensor]:
         """The planes that come out of a frame in the device's memory, each on memory of its own."""
@@ -479,15 +480,15 @@ def _fits(tensor: Tensor, role: Role, spec: FrameSpec) -> bool:
     return tensor.shape == (spec.height, spec.width, spec.channels(role))
 
 
-def _finish(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor]) -> Frame:
+def _finish(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor], results: Reused) -> Frame:
     """The frame that comes out: new planes copied from the device, the others as they came in."""
     same_size = (plan.output.width, plan.output.height) == (plan.available.width, plan.available.height)
     unread = [role for role in plan.available.roles if role not in plan.planes and same_size]
     planes = {role: frame[role] for role in unread}
     for role, tensor in resident.tensors.items():
-        planes[role] = frame[role] if tensor is inputs.get(role) else tensor.download()
+        planes[role] = frame[role] if tensor is inputs.get(role) else tensor.download(results.empty)
     parts = {name: part for name, part in frame.parts.items() if same_size}
-    parts |= {name: tensor.download() for name, tensor in resident.parts.items()}
+    parts |= {name: tensor.download(results.empty) for name, tensor in resident.parts.items()}
     result = dataclasses.replace(frame, planes=planes, encoding=plan.output.encoding, jitter=resident.jitter,
                                  parts=parts)
     if same_size:

@@ -4,17 +4,15 @@ fireflies, which are clamped."""
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
 from postfx.errors import OptionError
 from postfx.frame import Frame, Role
-from postfx.kernels.statistics import INFINITY_BITS, largest_bits
+from postfx.kernels.statistics import INFINITY_BITS, WORTH, largest_bits, share
 from postfx.system import Scratch
 
-ROWS = 256
-"""Rows that are checked together, which takes less memory than the whole picture."""
 KNOWN = 0.75
 """Share of a pixel's neighbours that must be finite: repairs one, two or three bad pixels, not the edge of a sun."""
 SIDE, RIM = 4, 0.375
@@ -38,7 +36,7 @@ def repair_nonfinite(
     the colour is bad, all bad pixels become 0. The given frame does not change. `scratch` is the memory budget for
     looking at planes and copying them.
     """
-    found = {role: bad for role in roles if (bad := find_nonfinite(frame[role], role, scratch)) is not None}
+    found = find_nonfinite({role: frame[role] for role in roles}, scratch)
     counts = {role: int(bad.sum()) for role, bad in found.items()}
     if Role.COLOUR not in found:
         return frame, counts
@@ -55,11 +53,24 @@ def is_unusable(frame: Frame, counts: dict[Role, int]) -> bool:
     return Role.COLOUR in counts and counts[Role.COLOUR] > MOST * frame[Role.COLOUR][..., 0].size
 
 
-def find_nonfinite(plane: np.ndarray, role: Role, scratch: Scratch | None = None) -> np.ndarray | None:
-    """(height, width) bool: pixels of a plane (height, width, C) that are not finite; None where all are."""
-    most = INFINITY_BITS if role is Role.DEPTH else INFINITY_BITS - np.uint32(1)
-    if not any(largest_bits(band.view(np.uint32).reshape(-1)) > most for band in _bands(plane, scratch)):
-        return None
+def find_nonfinite(planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> dict[Role, np.ndarray]:
+    """Role -> (height, width) bool: pixels of planes (height, width, C) that are not finite, for planes with any."""
+    bands = [(role, band) for role, plane in planes.items() for band in _bands(plane, None)]
+    found: set[Role] = set()
+
+    def look(first: int, last: int) -> None:
+        for role, band in bands[first:last]:
+            most = INFINITY_BITS if role is Role.DEPTH else INFINITY_BITS - np.uint32(1)
+            if role not in found and largest_bits(band.view(np.uint32).reshape(-1)) > most:
+                found.add(role)
+            if scratch:
+                scratch.relax()
+
+    share(look, len(bands), sum(plane.nbytes for plane in planes.values()))
+    return {role: _nonfinite(plane, role, scratch) for role, plane in planes.items() if role in found}
+
+
+def _nonfinite(plane: np.ndarray, role: Role, scratch: Scratch | None) -> np.ndarray:
     is_bad = np.isnan if role is Role.DEPTH else _is_not_finite
     return np.concatenate([is_bad(band).any(axis=2) for band in _bands(plane, scratch)])
 
@@ -70,9 +81,10 @@ def _is_not_finite(values: np.ndarray) -> np.ndarray:
 
 
 def _bands(plane: np.ndarray, scratch: Scratch | None) -> Iterator[np.ndarray]:
-    """Rows of a plane, `ROWS` at a time."""
-    for first in range(0, plane.shape[0], ROWS):
-        yield plane[first : first + ROWS]
+    """Rows of a plane, about `WORTH` bytes at a time, which takes less memory than the whole picture."""
+    rows = max(1, WORTH // max(1, plane[:1].nbytes))
+    for first in range(0, plane.shape[0], rows):
+        yield plane[first : first + rows]
         if scratch:
             scratch.relax()
 

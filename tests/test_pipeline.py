@@ -66,6 +66,18 @@ def test_results_are_not_overwritten_by_the_next_frame(device):
     assert np.array_equal(first[Role.COLOUR], kept)
 
 
+def test_memory_of_results_serves_again_when_nobody_holds_them(device):
+    pipeline = Pipeline([ToneMap()], device)
+    first = pipeline(make_frame(1))[Role.COLOUR]
+    part, place, pixels = first[1:], first.ctypes.data, first[1:].copy()
+    del first
+    second = pipeline(make_frame(2))[Role.COLOUR]
+    np.testing.assert_array_equal(part, pixels)
+    assert second.ctypes.data != place
+    del part
+    assert pipeline(make_frame(3))[Role.COLOUR].ctypes.data == place
+
+
 def test_sequence_equals_frame_by_frame(device):
     frames = [make_frame(number, reset=number == 3) for number in range(1, 6)]
     pipeline = Pipeline([toys.Sum()], device)

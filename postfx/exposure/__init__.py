@@ -16,7 +16,7 @@ import numpy as np
 from postfx.errors import ExposureError, PostfxError
 from postfx.files import read_ahead
 from postfx.frame import Frame, Role
-from postfx.kernels.statistics import block_means
+from postfx.kernels.statistics import block_means, share
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence as FrameSequence
@@ -51,7 +51,7 @@ def measure(colour: np.ndarray) -> float | None:
     height, width = colour.shape[:2]
     block = max(BLOCK, math.ceil(max(height, width) / MOST_BLOCKS))
     means = np.empty((math.ceil(height / block), math.ceil(width / block)))
-    block_means(colour, block, means)
+    share(lambda first, last: block_means(first, last, colour, block, means), len(means), colour.nbytes)
     light = means[means > BLACK]
     if light.size == 0:
         return None

@@ -1,11 +1,15 @@
-"""What the host looks at in a frame's planes before it is uploaded, in one thread: whether all numbers are finite, the
-light of blocks of pixels, on which exposure is metered, a coarse grid's cells, by which cuts are found, and where alpha
-differs.
+"""What the host looks at in a frame's planes before it is uploaded: whether all numbers are finite, the light of blocks
+of pixels, on which exposure is metered, a coarse grid's cells, by which cuts are found, and where alpha differs.
 
-Loops over rows become vector instructions. Sums keep their order, so that a multiplier does not depend on them.
+Loops over rows become vector instructions. Sums keep their order, so that a multiplier does not depend on them, nor on
+the threads that a pipeline lends for the largest of these.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 import numpy as np
 
@@ -13,6 +17,30 @@ from postfx.kernels.numeric import Real, add, compiled, vectorised
 
 INFINITY_BITS = np.uint32(0x7F800000)
 """The bits of an infinite float32; those of NaN, without the sign, are larger."""
+WORTH = 1 << 20
+"""Bytes to look at or to copy that are worth another thread."""
+
+Rows = Callable[[int, int], None]
+_lent: ContextVar[Callable[[Rows, int], None] | None] = ContextVar("divide", default=None)
+
+
+@contextmanager
+def lend(divide: Callable[[Rows, int], None] | None) -> Iterator[None]:
+    """Let `share` divide work by `divide(rows, count)`, which runs `rows(first, last)` in several threads."""
+    token = _lent.set(divide)
+    try:
+        yield
+    finally:
+        _lent.reset(token)
+
+
+def share(rows: Rows, count: int, nbytes: int) -> None:
+    """Run `rows(first, last)` over rows 0 to count - 1, which are `nbytes` bytes, on the threads that are lent."""
+    divide = _lent.get()
+    if divide is None or nbytes < 2 * WORTH:
+        rows(0, count)
+    else:
+        divide(rows, count)
 
 
 @compiled
@@ -57,8 +85,9 @@ def leave_out(row: np.ndarray, block: int, count: np.ndarray) -> None:
 
 
 @compiled
-def block_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
-    """Mean luminance of each block x block pixels without the brightest; colour (h, w, 3) -> means (rows, columns).
+def block_means(first: int, last: int, colour: np.ndarray, block: int, means: np.ndarray) -> None:
+    """Mean luminance of each block x block pixels without the brightest, in some rows; colour (h, w, 3) -> means (rows,
+    columns).
 
     Non-finite pixels are left out, negative ones count as 0. Averaging keeps the noise of one sample a pixel out of
     the logarithm that follows, which would read it as darkness; without the brightest pixel a firefly is no light.
@@ -66,12 +95,12 @@ def block_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
     height, width, columns = colour.shape[0], colour.shape[1], means.shape[1]
     light, total, brightest = np.empty(width), np.empty(columns), np.empty(columns)
     count = np.empty(columns, np.int64)
-    for j in range(means.shape[0]):
-        first, end = j * block, min((j + 1) * block, height)
+    for j in range(first, last):
+        begin, end = j * block, min((j + 1) * block, height)
         total[:], brightest[:] = 0.0, 0.0
         for i in range(columns):
-            count[i] = (end - first) * (min((i + 1) * block, width) - i * block)
-        for y in range(first, end):
+            count[i] = (end - begin) * (min((i + 1) * block, width) - i * block)
+        for y in range(begin, end):
             row = colour[y].reshape(3 * width)
             if light_of_row(row, light):
                 leave_out(row, block, count)
@@ -81,15 +110,15 @@ def block_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
 
 
 @compiled
-def half_means(colour: np.ndarray, block: int, means: np.ndarray) -> None:
-    """Mean luminance of the two halves of each whole block; colour (h, w, 3) -> means (2, rows, columns).
+def half_means(first: int, last: int, colour: np.ndarray, block: int, means: np.ndarray) -> None:
+    """Mean luminance of the two halves of each whole block in some rows; colour (h, w, 3) -> means (2, rows, columns).
 
     The halves are the even and the odd rows, so they show the same with other noise. The brightest pixel of each is
     left out, as by `block_means`; pixels that are not finite and negative ones count as 0.
     """
     width, columns = colour.shape[1], means.shape[2]
     light, total, brightest = np.empty(width), np.empty((2, columns)), np.empty((2, columns))
-    for j in range(means.shape[1]):
+    for j in range(first, last):
         total[:], brightest[:] = 0.0, 0.0
         for row in range(block):
             light_of_row(colour[j * block + row].reshape(3 * width), light)

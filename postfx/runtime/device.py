@@ -7,10 +7,11 @@ import os
 import re
 import threading
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,13 +32,15 @@ from postfx.runtime.models import Library
 from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, ort, parse_provider
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, name_of, size_in_bytes
-from postfx.runtime.threads import CommandQueue, Helpers, Slots, wait_for_all
+from postfx.runtime.threads import Band, CommandQueue, Helpers, Slots, wait_for_all
 from postfx.system import Scratch, usable_cores
 from postfx.version import pip_install
 
 if TYPE_CHECKING:
     from postfx.kernels import Kernel
 
+MINIMUM_ROWS = 4
+"""Least rows of a kernel's band: fewer are not worth another thread."""
 Dims = Mapping[str, int] | Mapping[tuple[str, int], int] | Mapping[str | tuple[str, int], int]
 """Sizes of free dimensions: by name, or by input or output and axis."""
 
@@ -133,9 +136,22 @@ class Device:
         return Slots(self.threads)
 
     @cached_property
-    def helpers(self) -> Helpers:
-        """Threads that help the queue's own thread with bands of kernels."""
+    def _helpers(self) -> Helpers:
         return Helpers(max(1, self.threads - 1))
+
+    def divide(self, rows: Callable[[int, int], None], first: int, last: int, least: int = MINIMUM_ROWS) -> None:
+        """Run `rows(first, last)` in bands of at least `least` rows over the threads of this device."""
+        count = min(self.threads, (last - first) // least)
+        if count < 2:
+            rows(first, last)
+            return
+        edges = [first + (last - first) * band // count for band in range(count + 1)]
+        self._helpers.work([Band(rows, *edge) for edge in pairwise(edges)])
+
+    @property
+    def lent(self) -> Callable[[Callable[[int, int], None], int], None] | None:
+        """What the host's work on planes is divided by; None within a memory budget, where it goes piece by piece."""
+        return None if self.scratch else lambda rows, count: self.divide(rows, 0, count, 1)
 
     def wrap(self, name: str, array: Any, copy: Tensor | None = None) -> Tensor:
         """A tensor with an array's content: the same memory on the CPU, an upload elsewhere.

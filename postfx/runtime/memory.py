@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from postfx.kernels.statistics import WORTH, share
 from postfx.system import Scratch
 
 T = TypeVar("T")
@@ -196,11 +197,47 @@ class HostMemory(Immediate):
 
     def read(self, pointer: int, array: np.ndarray) -> None:
         """Copy from `pointer` into a C-contiguous array."""
-        ctypes.memmove(address(array), pointer, array.nbytes)
+        self.copy(address(array), pointer, array.nbytes)
 
     def copy(self, target: int, source: int, nbytes: int) -> None:
         """Copy bytes that do not overlap."""
-        ctypes.memmove(target, source, nbytes)
+
+        def copy_pieces(first: int, last: int) -> None:
+            begin, end = first * WORTH, min(last * WORTH, nbytes)
+            ctypes.memmove(target + begin, source + begin, end - begin)
+
+        share(copy_pieces, math.ceil(nbytes / WORTH), nbytes)
+
+
+MOST_SPARE = 2
+"""Pieces of memory of one size that wait to be used again."""
+
+
+class Reused:
+    """Arrays on memory that serves again when nothing refers to them any more: fresh memory would have to be cleared,
+    page by page."""
+
+    def __init__(self) -> None:
+        self._spare: dict[int, list[np.ndarray]] = {}
+
+    def empty(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> np.ndarray:
+        """An array of any content."""
+        nbytes = math.prod(shape) * dtype.itemsize
+        spare = self._spare.setdefault(nbytes, [])
+        storage = spare.pop() if spare else np.empty(nbytes, np.uint8)
+        owner: Any = (ctypes.c_char * nbytes).from_buffer(storage.data)
+        weakref.finalize(owner, _put_by, spare, storage).atexit = False
+        found: np.ndarray = np.frombuffer(owner, dtype)
+        return found.reshape(shape)
+
+    def clear(self) -> None:
+        """Let go of the memory that waits."""
+        self._spare.clear()
+
+
+def _put_by(spare: list[np.ndarray], storage: np.ndarray) -> None:
+    if len(spare) < MOST_SPARE:
+        spare.append(storage)
 
 
 def address(array: np.ndarray) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -16,14 +15,10 @@ from postfx.kernels.native import bind_rows, compile_rows
 from postfx.runtime.convolutions import Convolutions, Gpu, Head, give_heads, read_layers
 from postfx.runtime.session import Session
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
-from postfx.runtime.threads import Band, Helpers
 
 if TYPE_CHECKING:
     from postfx.kernels import Kernel
     from postfx.runtime.cuda import CudaMemory
-
-MINIMUM_ROWS = 4
-"""Least rows of a band: fewer are not worth another thread."""
 
 
 class Binding(NamedTuple):
@@ -58,8 +53,7 @@ class StateDevice(TensorDevice, Protocol):
     @property
     def gpu(self) -> CudaMemory | None: ...
 
-    @property
-    def helpers(self) -> Helpers: ...
+    def divide(self, rows: Callable[[int, int], None], first: int, last: int) -> None: ...
 
     def compute_state(self, kernel: Kernel) -> State: ...
 
@@ -193,22 +187,14 @@ class CompiledComputeState(ComputeState):
         rows = bind_rows(self._rows, [tensor.host_view() for tensor in tensors])
         count, scratch = self._extent(tensors)[0], self.device.scratch
         if scratch is None:
-            return lambda: self._run(0, count, rows)
+            return lambda: self.device.divide(rows, 0, count)
         row_bytes = sum(tensor.nbytes for tensor in tensors) // max(1, count)
 
         def run_in_pieces() -> None:
             for first, last in scratch.pieces(count, row_bytes):
-                self._run(first, last, rows)
+                self.device.divide(rows, first, last)
 
         return run_in_pieces
-
-    def _run(self, first: int, last: int, rows: Callable[[int, int], None]) -> None:
-        count = min(self.device.threads, (last - first) // MINIMUM_ROWS)
-        if count < 2:
-            rows(first, last)
-            return
-        edges = [first + (last - first) * band // count for band in range(count + 1)]
-        self.device.helpers.work([Band(rows, *edge) for edge in pairwise(edges)])
 
 
 class CudaComputeState(ComputeState):

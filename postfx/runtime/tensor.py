@@ -301,14 +301,14 @@ class Tensor:
         """The content, to read at once: `array` if the host can see the memory, else a copy."""
         return self.array if self._device.memory.host_visible else self.download()
 
-    def download(self) -> np.ndarray:
-        """A NumPy copy of the content. Raises HazardError as `array` does."""
+    def download(self, empty: Callable[[tuple[int, ...], np.dtype[Any]], np.ndarray] = np.empty) -> np.ndarray:
+        """A NumPy copy of the content, on memory that `empty` gives. Raises HazardError as `array` does."""
         self._check_host_read()
         scratch, here = self._device.scratch, self.resident()
         if not self.contiguous:
             return here.host_view().copy("C")
         if scratch is None:
-            copy = np.empty(self.shape, element_type(self.dtype))
+            copy = empty(self.shape, element_type(self.dtype))
             if copy.nbytes:
                 self._device.memory.read(here.start, copy)
             return copy

@@ -118,7 +118,7 @@ class Band(NamedTuple):
 
 
 class Helpers:
-    """Up to `count` threads that work on bands beside the thread that calls, which is one at a time."""
+    """Up to `count` threads that work on bands beside the thread that calls; others that call wait for it."""
 
     def __init__(self, count: int) -> None:
         self._pool = ThreadPoolExecutor(count, thread_name_prefix="postfx band")
@@ -126,9 +126,14 @@ class Helpers:
         self._bands: list[Band | None] = [None] * count
         self._failures: list[BaseException | None] = [None] * count
         self._looks, self._delay = pauses_in(LOOK), pauses_in(DELAY)
+        self._lock = threading.Lock()
 
     def work(self, bands: Sequence[Band]) -> None:
         """Work on all bands, the first one in this thread; raises what one of them raised."""
+        with self._lock:
+            self._work(bands)
+
+    def _work(self, bands: Sequence[Band]) -> None:
         own, *others = bands
         handed = 0
         try:

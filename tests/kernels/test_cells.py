@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postfx.cuts import CutDetector
+from postfx.exposure import measure
+from postfx.frame import Frame, Role
 from postfx.kernels.image import compare_places
 from postfx.kernels.statistics import (
     INFINITY_BITS,
@@ -12,6 +15,7 @@ from postfx.kernels.statistics import (
     block_means,
     half_means,
     largest_bits,
+    lend,
     mark_positive,
     mix_places,
     moments,
@@ -19,6 +23,7 @@ from postfx.kernels.statistics import (
     places_inside,
     true_correlation,
 )
+from postfx.repair import repair_nonfinite
 from postfx.sampling import bilinear, is_inside
 
 RANDOM = np.random.default_rng(0)
@@ -40,7 +45,9 @@ def light_of(colour: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("size", [(1, 1), (5, 7), (16, 24)], ids=str)
 def test_block_means(size: tuple[int, int]) -> None:
     colour, found = bad_colours(*size), np.empty([-(-side // 4) for side in size])
-    block_means(colour, 4, found)
+    middle = len(found) // 2
+    for rows in ((0, middle), (middle, len(found))):
+        block_means(*rows, colour, 4, found)
     for y, x in np.ndindex(found.shape):
         light = light_of(colour[4 * y:4 * y + 4, 4 * x:4 * x + 4]).ravel()
         light = np.sort(np.maximum(light[np.isfinite(light)], 0))
@@ -50,7 +57,8 @@ def test_block_means(size: tuple[int, int]) -> None:
 @pytest.mark.parametrize("block", [2, 5])
 def test_means_of_even_and_odd_rows(block: int) -> None:
     colour, found = bad_colours(11, 15), np.empty((2, 11 // block, 15 // block))
-    half_means(colour, block, found)
+    for rows in ((0, 1), (1, found.shape[1])):
+        half_means(*rows, colour, block, found)
     for half, y, x in np.ndindex(found.shape):
         light = light_of(colour[y * block:(y + 1) * block, x * block:(x + 1) * block][half::2]).ravel()
         light = np.sort(np.maximum(np.where(np.isfinite(light), light, 0), 0))
@@ -143,3 +151,25 @@ def test_positive_cells(size: tuple[int, int]) -> None:
     mark_positive(plane, 2, cells)
     for y, x in np.ndindex(cells.shape):
         assert cells[y, x] == (plane[2 * y:2 * y + 2, 2 * x:2 * x + 2] > 0).any()
+
+
+def test_many_threads_find_what_one_finds() -> None:
+    """Work on planes of several MiB is divided among the threads that are lent, and its results are the same bits."""
+    colour, divided = bad_colours(480, 640), []
+    colour[100:140] = 1
+
+    def divide(rows, count):
+        divided.append(count)
+        for i in reversed(range(count)):
+            rows(i, i + 1)
+
+    def look():
+        detector, frames = CutDetector(), [Frame({Role.COLOUR: plane}) for plane in (colour, colour[::-1].copy())]
+        cuts = [detector(frame) for frame in frames]
+        repaired, counts = repair_nonfinite(frames[0], (Role.COLOUR,))
+        return cuts, detector.relation, measure(colour), counts, repaired[Role.COLOUR].tobytes()
+
+    wanted = look()
+    with lend(divide):
+        assert look() == wanted
+    assert len(divided) == 4 and min(divided) > 1 and wanted[3]

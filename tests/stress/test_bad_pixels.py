@@ -52,7 +52,7 @@ def test_pixels_are_mended_by_the_mean_of_their_neighbours(value: float) -> None
 
 
 def test_pixels_are_mended_within_a_budget() -> None:
-    colour = np.random.default_rng(1).random((600, 40, 3), np.float32)
+    colour = np.random.default_rng(1).random((600, 800, 3), np.float32)
     colour[5, 5], colour[599, 7] = np.nan, np.inf
     frame = Frame({Role.COLOUR: colour})
     found, wanted = (repair_nonfinite(frame, (Role.COLOUR,), scratch) for scratch in (Scratch("1M"), None))
