@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, cached_property, update_wrapper
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -180,20 +181,86 @@ class Form:
         self._check(self._entry(words, found))
         return self._result.unpack_from(found)[0]
 
-    def bind(self, arrays: Sequence[np.ndarray]) -> Callable[[int, int], None]:
+    def bind(self, arrays: Sequence[np.ndarray]) -> BoundRows:
         """The function of rows, with all arrays given."""
         entry, check, pair = self._entry, self._check, struct.Struct("=qq").pack
-        rest, held = self._pack(0, 0, *words_of(arrays))[16:], tuple(arrays)
+        words = words_of(arrays)
+        rest = self._pack(0, 0, *words)[16:]
 
         def rows(first: int, last: int) -> None:
-            assert held, "the arrays live as long as their addresses"
             check(entry(pair(first, last) + rest, None))
 
-        return rows
+        address = ctypes.cast(entry, ctypes.c_void_p).value or 0
+        return BoundRows(self._name, rows, address, [0, 0, *words], tuple(arrays))
 
     def _check(self, status: int) -> None:
         if status:
             raise RuntimeError(f"kernel {self._name} failed, probably for want of memory")
+
+
+MOST_WORDS = 512
+"""Words that a function of Numba's is called with; those beyond the ones that it takes lie unread on the stack."""
+
+
+class BoundRows:
+    """A kernel's rows with all arrays given, as a function of the first and the last row, which threads may also call
+    without Python's lock.
+
+    Args:
+        call: the function.
+        entry: address of `int entry(const int64_t *words, void *)`, or 0 for a function of Numba's, whose own address
+            the words begin with. It then gets the other words, of which the first two are places for what it returns.
+        words: with zeros for the first and the last row, and for those places.
+        arrays: which live as long as their addresses.
+
+    Attributes:
+        entry: as given.
+    """
+
+    def __init__(self, name: str, call: Callable[[int, int], None], entry: int, words: Sequence[int],
+                 arrays: Sequence[np.ndarray]) -> None:
+        self._name, self._call, self.entry, self._words, self._arrays = name, call, entry, words, arrays
+        self._edges: Sequence[int] = ()
+        self._blocks = np.empty((0, 0), np.int64)
+
+    def __call__(self, first: int, last: int) -> None:
+        self._call(first, last)
+
+    def blocks(self, edges: Sequence[int]) -> np.ndarray:
+        """The words (bands, count) of each band between two edges."""
+        if self._edges != edges:
+            at, size = (0, len(self._words)) if self.entry else (3, 1 + MOST_WORDS)
+            blocks = np.zeros((len(edges) - 1, size + 2), np.int64)
+            blocks[:, :len(self._words)] = self._words
+            blocks[:, at], blocks[:, at + 1] = edges[:-1], edges[1:]
+            if not self.entry:
+                ends = blocks.ctypes.data + blocks.strides[0] * np.arange(1, len(edges))
+                blocks[:, 1], blocks[:, 2] = ends - 2 * blocks.itemsize, ends - blocks.itemsize
+            self._edges, self._blocks = edges, blocks
+        return self._blocks
+
+    def explain(self, edges: Sequence[int]) -> None:
+        """Raises the error of a band that failed."""
+        for first, last in pairwise(edges):
+            self._call(first, last)
+        raise RuntimeError(f"kernel {self._name} failed, probably for want of memory")
+
+
+def _bind_compiled(rows: Any, arrays: Sequence[np.ndarray]) -> BoundRows | None:
+    """Rows that Numba compiles, if they need no lock and take contiguous arrays."""
+    kinds = ("q", "q", *kinds_of(arrays))
+    if None in kinds or not getattr(rows, "targetoptions", {}).get("nogil"):
+        return None
+    types = signature(kinds)
+    rows.compile(types)
+    compiled = rows.overloads[types]
+    address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+    words = [address, 0, 0, 0, 0]  # and of each array: nobody counts who uses it, sizes, address, shape, strides
+    for array in arrays:
+        words += 0, 0, array.size, array.itemsize, array.__array_interface__["data"][0], *array.shape, *array.strides
+    if not address or len(words) > MOST_WORDS:
+        return None
+    return BoundRows(rows.__name__, lambda first, last: rows(first, last, *arrays), 0, words, tuple(arrays))
 
 
 def kinds_of(arguments: Iterable[Any]) -> Kinds:
@@ -236,7 +303,9 @@ def words_of(arguments: Iterable[Any]) -> list[Any]:
 
 def bind_rows(rows: Callable[..., None], arrays: Sequence[np.ndarray]) -> Callable[[int, int], None]:
     """A function of the first and the last of a kernel's rows, with all arrays given."""
-    return rows.bind(arrays) if isinstance(rows, KernelFunction) else lambda first, last: rows(first, last, *arrays)
+    if isinstance(rows, KernelFunction):
+        return rows.bind(arrays)
+    return _bind_compiled(rows, arrays) or (lambda first, last: rows(first, last, *arrays))
 
 
 def compile_rows(rows: Callable[..., None], arrays: Sequence[str]) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from postfx.errors import BindingError, DeviceError, ModelError, PostfxError
 from postfx.frame import LOG
+from postfx.kernels.native import BoundRows
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
 from postfx.runtime.convolutions import Head, Unfit
@@ -146,7 +147,10 @@ class Device:
             rows(first, last)
             return
         edges = [first + (last - first) * band // count for band in range(count + 1)]
-        self._helpers.work([Band(rows, *edge) for edge in pairwise(edges)])
+        if isinstance(rows, BoundRows):
+            self._helpers.run(rows, edges)
+        else:
+            self._helpers.work([Band(rows, *edge) for edge in pairwise(edges)])
 
     @property
     def lent(self) -> Callable[[Callable[[int, int], None], int], None] | None:

@@ -1,8 +1,10 @@
 """Threads of a device: one that runs committed work in order, and helpers for the rows of kernels.
 
 Waking a thread takes longer than many kernels run. So a helper that is done spins for some microseconds, without the
-interpreter's lock, before it goes to sleep, and a thread that waits for helpers does the same. Each helper has a flag,
-``AWAY``, ``WAITING`` or ``BUSY``: the first number of its row of ``flags`` (n, LINE) of int64, one cache line each.
+interpreter's lock, before it goes to sleep, and a thread that waits for helpers does the same. Compiled rows are begun
+and ended without that lock, too: with sixteen threads they would wait for it longer than they run. Each helper has a
+row of ``board`` (n, LINE) of int64, a cache line: its flag, ``AWAY``, ``WAITING`` or ``BUSY``, and what to run: the
+``ENTRY`` and the ``WORDS`` of compiled rows (`postfx.kernels.native.BoundRows`), or ``PYTHON``.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from postfx.errors import CommandError, CommandTimeout
-from postfx.kernels.native import intrinsic, ir, types
+from postfx.kernels.native import MOST_WORDS, BoundRows, intrinsic, ir, types
 from postfx.kernels.numeric import compiled
 
 LOOK = 100e-6
@@ -30,7 +32,14 @@ DELAY = 5e-6
 """Seconds after which a helper takes the interpreter's lock: by then the thread that gave it a band has released it."""
 NAP = 20e-6
 AWAY, WAITING, BUSY = range(3)
+FLAG, ENTRY, WORDS, STATUS = range(4)
 LINE = 8
+PYTHON = -1
+"""In place of an entry: a band that is a function of Python's."""
+ASLEEP = 2
+"""Status of a band whose helper is to be woken."""
+NONE = -2
+"""What Numba's functions return where they end without a value."""
 SAMPLE = 2000
 PAUSES = {"x86_64": ("llvm.x86.sse2.pause", ()), "aarch64": ("llvm.aarch64.hint", (1,))}
 """LLVM's instruction for a thread that only waits, by processor: its name and arguments."""
@@ -122,7 +131,7 @@ class Helpers:
 
     def __init__(self, count: int) -> None:
         self._pool = ThreadPoolExecutor(count, thread_name_prefix="postfx band")
-        self._flags = np.full((count, LINE), AWAY, np.int64)
+        self._board = np.zeros((count, LINE), np.int64)
         self._bands: list[Band | None] = [None] * count
         self._failures: list[BaseException | None] = [None] * count
         self._looks, self._delay = pauses_in(LOOK), pauses_in(DELAY)
@@ -130,39 +139,46 @@ class Helpers:
 
     def work(self, bands: Sequence[Band]) -> None:
         """Work on all bands, the first one in this thread; raises what one of them raised."""
-        with self._lock:
-            self._work(bands)
-
-    def _work(self, bands: Sequence[Band]) -> None:
         own, *others = bands
-        handed = 0
-        try:
-            for i, band in enumerate(others):
-                self._hand(i, band)
-                handed += 1
-            own.work()
-        finally:
-            # Wait even after an error: no one else may use the tensors while a band still writes them.
-            failures = [self._failure(i) for i in range(handed)]
+        with self._lock:
+            handed = 0
+            try:
+                for i, band in enumerate(others):
+                    self._bands[i], self._failures[i] = band, None
+                    is_awake = is_taken(self._board, i, PYTHON, 0)
+                    handed += 1
+                    if not is_awake:
+                        self._pool.submit(self._help, i)
+                own.work()
+            finally:
+                # Wait even after an error: no one else may use the tensors while a band still writes them.
+                self._wait(handed)
+            failures = self._failures[:handed]
         for failure in failures:
             if failure is not None:
                 raise failure
 
-    def _hand(self, i: int, band: Band) -> None:
-        self._bands[i], self._failures[i] = band, None
-        if not is_taken(self._flags, i):
-            self._flags[i, 0] = BUSY
-            self._pool.submit(self._help, i)
+    def run(self, rows: BoundRows, edges: Sequence[int]) -> None:
+        """Run compiled rows in bands between the edges, the first one in this thread."""
+        blocks = rows.blocks(edges)
+        words, (bands, size) = blocks.ctypes.data, blocks.shape
+        with self._lock:
+            if hand_out(self._board, rows.entry, words, size, bands):
+                for i in np.flatnonzero(self._board[:bands - 1, STATUS] == ASLEEP).tolist():
+                    self._pool.submit(self._help, i)
+            failed = run_entry(rows.entry, words)
+            self._wait(bands - 1)
+            failed |= int(self._board[:bands - 1, STATUS].any())
+        if failed:
+            rows.explain(edges)
 
-    def _failure(self, i: int) -> BaseException | None:
-        """The error of a helper's band, once it is done."""
-        while not is_done(self._flags, i, self._looks):
+    def _wait(self, count: int) -> None:
+        """Until the first helpers are done with their bands."""
+        while not are_done(self._board, count, self._looks):
             time.sleep(NAP)
-        return self._failures[i]
 
     def _help(self, i: int) -> None:
-        called = True
-        while called:
+        while is_called(self._board, i, self._looks, self._delay):
             try:
                 band = self._bands[i]
                 assert band is not None
@@ -170,21 +186,21 @@ class Helpers:
             except BaseException as error:  # of any kind: the thread that waits must see it
                 self._failures[i] = error
             self._bands[i] = None
-            called = is_called(self._flags, i, self._looks, self._delay)
+            report(self._board, i)
 
 
 @intrinsic
-def load_flag(typingctx: Any, flags: Any, i: Any) -> Any:
+def load_flag(typingctx: Any, board: Any, i: Any) -> Any:
     """The flag of row i, read atomically."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.load_atomic(_place(context, builder, signature, arguments), "seq_cst", LINE)
 
-    return types.int64(flags, i), generate
+    return types.int64(board, i), generate
 
 
 @intrinsic
-def replace_flag(typingctx: Any, flags: Any, i: Any, known: Any, new: Any) -> Any:
+def replace_flag(typingctx: Any, board: Any, i: Any, known: Any, new: Any) -> Any:
     """Atomically set the flag of row i to `new` if it is `known`; whether it was."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -192,7 +208,34 @@ def replace_flag(typingctx: Any, flags: Any, i: Any, known: Any, new: Any) -> An
         found = builder.cmpxchg(place, arguments[2], arguments[3], "seq_cst", "seq_cst")
         return builder.extract_value(found, 1)
 
-    return types.boolean(flags, i, types.int64, types.int64), generate
+    return types.boolean(board, i, types.int64, types.int64), generate
+
+
+@intrinsic
+def call_entry(typingctx: Any, entry: Any, words: Any) -> Any:
+    """Call `int entry(const int64_t *words, void *)`, given both addresses."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer, status = ir.IntType(8).as_pointer(), ir.IntType(32)
+        function = builder.inttoptr(arguments[0], ir.FunctionType(status, [pointer, pointer]).as_pointer())
+        return builder.call(function, [builder.inttoptr(arguments[1], pointer), ir.Constant(pointer, None)])
+
+    return types.int32(types.int64, types.int64), generate
+
+
+@intrinsic
+def call_compiled(typingctx: Any, words: Any) -> Any:
+    """Call the function of Numba's whose address is the first of the words with the others. All are numbers of 64 bits
+    or addresses, which are passed alike, and the caller takes those that it does not use from the stack again."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        word, count = ir.IntType(64), MOST_WORDS
+        start = builder.inttoptr(arguments[0], word.as_pointer())
+        given = [builder.load(builder.gep(start, [word(k)])) for k in range(1 + count)]
+        function = builder.inttoptr(given[0], ir.FunctionType(ir.IntType(32), [word] * count).as_pointer())
+        return builder.call(function, given[1:])
+
+    return types.int32(types.int64), generate
 
 
 @intrinsic
@@ -211,8 +254,8 @@ def pause(typingctx: Any) -> Any:
 
 
 def _place(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    flags = context.make_array(signature.args[0])(context, builder, arguments[0])
-    return builder.gep(flags.data, [builder.mul(arguments[1], arguments[1].type(LINE))])
+    board = context.make_array(signature.args[0])(context, builder, arguments[0])
+    return builder.gep(board.data, [builder.mul(arguments[1], arguments[1].type(LINE))])
 
 
 @compiled
@@ -222,35 +265,70 @@ def pauses(count: int) -> None:
 
 
 @compiled
-def is_taken(flags: np.ndarray, i: int) -> bool:
-    """Hand a waiting helper its next band; False if it no longer waits."""
-    return bool(replace_flag(flags, i, WAITING, BUSY))
+def run_entry(entry: int, words: int) -> int:
+    """Run compiled rows; 1 if they failed."""
+    if entry == 0:
+        status = call_compiled(words)
+        return int(status != 0 and status != NONE)
+    return int(call_entry(entry, words) != 0)
 
 
 @compiled
-def is_called(flags: np.ndarray, i: int, looks: int, delay: int) -> bool:
-    """Report that a helper is done with its band, and spin for the next one.
+def is_taken(board: np.ndarray, i: int, entry: int, words: int) -> bool:
+    """Hand a helper its next band; False if it sleeps."""
+    board[i, ENTRY], board[i, WORDS], board[i, STATUS] = entry, words, 0
+    return bool(replace_flag(board, i, WAITING, BUSY) or not replace_flag(board, i, AWAY, BUSY))
 
-    True if one came, after `delay` pauses in which the thread that gave it can release the interpreter's lock; False if
-    the helper goes to sleep.
+
+@compiled
+def hand_out(board: np.ndarray, entry: int, words: int, size: int, bands: int) -> bool:
+    """Hand helpers the bands from the second on, each with its `size` words; whether any is asleep."""
+    some = False
+    for i in range(bands - 1):
+        if not is_taken(board, i, entry, words + 8 * size * (i + 1)):
+            board[i, STATUS], some = ASLEEP, True
+    return some
+
+
+@compiled
+def report(board: np.ndarray, i: int) -> None:
+    """A helper is done with its band."""
+    replace_flag(board, i, BUSY, WAITING)
+
+
+@compiled
+def is_called(board: np.ndarray, i: int, looks: int, delay: int) -> bool:
+    """Work on a helper's bands as they come.
+
+    True if one came that is Python's, after `delay` pauses in which the thread that gave it can release the
+    interpreter's lock; False if none came for long and the helper goes to sleep.
     """
-    replace_flag(flags, i, BUSY, WAITING)
-    for _ in range(looks):
-        if load_flag(flags, i) == BUSY:
+    left = looks
+    while left > 0 or not replace_flag(board, i, WAITING, AWAY):
+        if load_flag(board, i) != BUSY:
+            left -= 1
+            pause()
+            continue
+        if board[i, ENTRY] == PYTHON:
             pauses(delay)
             return True
-        pause()
-    return not replace_flag(flags, i, WAITING, AWAY)
+        board[i, STATUS] = run_entry(board[i, ENTRY], board[i, WORDS])
+        report(board, i)
+        left = looks
+    return False
 
 
 @compiled
-def is_done(flags: np.ndarray, i: int, looks: int) -> bool:
-    """Spin until a helper is done with its band; False if that takes too long."""
-    for _ in range(looks):
-        if load_flag(flags, i) != BUSY:
-            return True
-        pause()
-    return False
+def are_done(board: np.ndarray, count: int, looks: int) -> bool:
+    """Spin until the first helpers are done with their bands; False if that takes too long."""
+    for i in range(count):
+        left = looks
+        while load_flag(board, i) == BUSY:
+            left -= 1
+            if left < 0:
+                return False
+            pause()
+    return True
 
 
 @cache

@@ -18,8 +18,9 @@ WANTED = {
     "postfx.kernels.statistics.block_means": [["q", "q", "<f4:3", "q", "<f8:2"]],
     "postfx.kernels.image.resample_rows": [["q", "q", "<f4:3", "<f4:1", "<f4:1", "<f4:3"]],
     "postfx.runtime.threads.is_called": [["<i8:2", "q", "q", "q"]],
-    "postfx.runtime.threads.is_taken": [["<i8:2", "q"]],
-    "postfx.runtime.threads.is_done": [["<i8:2", "q", "q"]],
+    "postfx.runtime.threads.hand_out": [["<i8:2", "q", "q", "q", "q"]],
+    "postfx.runtime.threads.run_entry": [["q", "q"]],
+    "postfx.runtime.threads.are_done": [["<i8:2", "q", "q"]],
     "postfx.runtime.threads.pauses": [["q"]],
 }
 BUILD = """
@@ -43,7 +44,7 @@ from postfx.kernels.numeric import clamp, compiled
 from postfx.kernels.pixel_formats import dither_rows, predict_bytes
 from postfx.kernels.statistics import block_means, largest_bits
 from postfx.runtime import ArgumentTable, Device
-from postfx.runtime.threads import is_done
+from postfx.runtime.threads import are_done
 
 random = np.random.default_rng(1)
 light = random.random((40, 48, 3), np.float32)
@@ -59,7 +60,7 @@ def results(call):
     found = [call(predict_bytes, values, bytes_of), bytes_of.copy(), call(predict_bytes, fixed, bytes_of), bytes_of,
              call(dither_rows, flat, np.float32(255), grey, codes), codes,
              call(largest_bits, light.ravel().view(np.uint32)), call(block_means, 0, 5, light, 8, means), means,
-             call(is_done, np.zeros((2, 8), np.int64), 1, 10),
+             call(are_done, np.zeros((2, 8), np.int64), 1, 10),
              call(resample_rows, 0, 17, light, np.arange(17.0, dtype="f"), np.arange(31.0, dtype="f"), small), small]
     return found
 

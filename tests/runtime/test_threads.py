@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from postfx.kernels.native import BoundRows, bind_rows
 from postfx.kernels.numeric import compiled
 from postfx.runtime import threads
 from postfx.runtime.threads import LOOK, Band, Helpers
@@ -19,17 +20,29 @@ def count_rows(y0, y1, counts):
         counts[y] += 1
 
 
+@compiled
+def fail_rows(y0, y1, counts):
+    for y in range(y0, y1):
+        if y == 6:
+            raise ValueError("row 6")
+        counts[y] += 1
+
+
 def bands_of(rows, edges: list[int], *arrays: np.ndarray) -> list[Band]:
     return [Band(lambda first, last: rows(first, last, *arrays), *edge) for edge in zip(edges, edges[1:], strict=False)]
 
 
 @pytest.mark.parametrize("pause", [0, 3 * LOOK], ids=["at once", "after they went"])
 def test_every_row_is_worked_on_once(pause: float) -> None:
-    helpers, counts = Helpers(3), np.zeros(40)
+    helpers, counts, compiled_counts = Helpers(3), np.zeros(40), np.zeros(40)
+    bound = bind_rows(count_rows, [compiled_counts])
+    assert isinstance(bound, BoundRows)
     for done in range(1, 200 if not pause else 20):
         helpers.work(bands_of(count_rows, [0, 11, 12, 30, 40], counts))
         assert (counts == done).all()
         time.sleep(pause)
+        helpers.run(bound, [0, 11, 12, 30, 40])
+        assert (compiled_counts == done).all()
 
 
 def test_fewer_bands_than_helpers_and_one_alone() -> None:
@@ -59,6 +72,17 @@ def test_what_a_helper_raises_is_raised_and_the_next_work_is_done() -> None:
     assert (counts == 3).all()
 
 
+def test_what_compiled_rows_raise_is_raised_and_the_next_work_is_done() -> None:
+    helpers, counts = Helpers(1), np.zeros(8)
+    failing, counting = (bind_rows(rows, [counts]) for rows in (fail_rows, count_rows))
+    for _ in range(3):
+        with pytest.raises(ValueError, match="row 6"):
+            helpers.run(failing, [0, 4, 8])
+    before = counts.copy()
+    helpers.run(counting, [0, 4, 8])
+    assert (counts == before + 1).all()
+
+
 def test_a_band_that_fails_waits_for_the_others() -> None:
     """Their arrays must not be handed on before."""
     ended = []
@@ -85,9 +109,9 @@ def test_a_helper_that_is_not_called_goes() -> None:
     helpers, counts = Helpers(1), np.zeros(8)
     helpers.work(bands_of(count_rows, [0, 4, 8], counts))
     deadline = time.monotonic() + 10
-    while helpers._flags[0, 0] != threads.AWAY and time.monotonic() < deadline:
+    while helpers._board[0, 0] != threads.AWAY and time.monotonic() < deadline:
         time.sleep(0.01)
-    assert helpers._flags[0, 0] == threads.AWAY
+    assert helpers._board[0, 0] == threads.AWAY
 
 
 def test_pauses_are_counted_by_the_clock() -> None:
