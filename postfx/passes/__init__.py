@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from inspect import Parameter, signature
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -182,7 +183,11 @@ def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any],
             role = Role(name)
         except ValueError:
             raise FrameError(f"{kind} '{name}' has no meaning here: roles are {', '.join(Role)}") from None
-        tensor, before = device.wrap(str(role), plane), last.get(role)
+        before = last.get(role)
+        if before and before.is_on(plane):
+            found[role] = before
+            continue
+        tensor = device.wrap(str(role), plane)
         found[role] = tensor = before if before and before.is_same_memory(tensor) else tensor
         if tensor.dtype != "float32" or len(tensor.shape) != 3 or tensor.shape[2] != ROLES[role].channels:
             raise FrameError(f"{kind} '{role}' is {tensor.shape} {tensor.dtype}: it needs (height, width, "
@@ -192,15 +197,24 @@ def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any],
 
 def spec_of(planes: Mapping[Role, Tensor], guides: Mapping[Role, Tensor], encoding: str) -> FrameSpec:
     """Spec of a frame of tensors. FrameError when sizes differ, GuideError for a role that is no guide."""
+    return _spec_of(*(tuple([(role, tensor.shape) for role, tensor in held.items()]) for held in (planes, guides)),
+                    encoding)
+
+
+Shapes = tuple[tuple[Role, tuple[int, ...]], ...]
+
+
+@lru_cache(MOST_SIZES)
+def _spec_of(planes: Shapes, guides: Shapes, encoding: str) -> FrameSpec:
     if not planes:
         raise FrameError("a frame needs at least one plane")
-    for kind, tensors in (("planes", planes), ("guides", guides)):
-        if len({tensor.shape[:2] for tensor in tensors.values()}) > 1:
-            sizes = ", ".join(f"{role} {tensor.shape[1]}x{tensor.shape[0]}" for role, tensor in tensors.items())
+    for kind, shapes in (("planes", planes), ("guides", guides)):
+        if len({shape[:2] for _, shape in shapes}) > 1:
+            sizes = ", ".join(f"{role} {shape[1]}x{shape[0]}" for role, shape in shapes)
             raise FrameError(f"{kind} differ in size: {sizes}")
-    (height, width, _), sharp = next(iter(planes.values())).shape, next(iter(guides.values()), None)
-    larger = GuideSpec(sharp.shape[1], sharp.shape[0], tuple(guides)) if sharp else None
-    return FrameSpec(width, height, {role: tensor.shape[2] for role, tensor in planes.items()}, encoding, larger)
+    (height, width, _), sharp = planes[0][1], guides[0][1] if guides else None
+    larger = GuideSpec(sharp[1], sharp[0], tuple([role for role, _ in guides])) if sharp else None
+    return FrameSpec(width, height, {role: shape[2] for role, shape in planes}, encoding, larger)
 
 
 class Pass:

@@ -150,7 +150,7 @@ class View(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.upload(np.array([frame.exposure, TOE, SCALE], np.float32))
+        self._params.put(np.array([frame.exposure, TOE, SCALE], np.float32))
         self._table["colour"] = frame[Role.COLOUR]
         with commands.compute_encoder("cube") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")

@@ -190,11 +190,11 @@ class ToneMap(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.upload(np.array([frame.exposure, self._shaper.toe, self._shaper.scale], np.float32))
+        self._params.put(np.array([frame.exposure, self._shaper.toe, self._shaper.scale], np.float32))
         colour = frame[Role.COLOUR]
         if self._kind:
             past = self._fresh and not frame.reset
-            self._pace.upload(np.array([*self._following, past, self._shaper.scale], np.float32))
+            self._pace.put(np.array([*self._following, past, self._shaper.scale], np.float32))
             self._history.reverse()
             commands.repeat((self, self._output, colour, self._history[0].light),
                             partial(self._encode_network, commands, colour, self._kind))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from postfx.errors import BindingError, CommandError, DeviceError, HazardError
-from postfx.runtime.memory import CUDA, Memory, Ranges, lend, view_at
+from postfx.runtime.memory import CUDA, Memory, Ranges, address, lend, view_at
 from postfx.system import Scratch
 
 
@@ -256,6 +256,7 @@ class Tensor:
         if dtype not in DTYPES:
             raise BindingError(f"tensor '{name}' cannot be of type {dtype}: use one of {', '.join(DTYPES)}")
         self.contiguous = strided is None
+        self._put = b""
         self._device = device
         self.name = name
         self.shape = tuple(map(int, shape))
@@ -339,6 +340,13 @@ class Tensor:
             self._device.memory.write(self.start, contiguous)
         self._device.hazards.mark_written(self)
 
+    def put(self, values: np.ndarray) -> None:
+        """`upload` values that no command writes over, unless they are those of the last `put`."""
+        content = values.tobytes()
+        if content != self._put:
+            self.upload(values)
+            self._put = content
+
     def fill(self, value: float) -> None:
         """Set every element to `value`. Raises HazardError as `upload` does."""
         scratch = self._device.scratch
@@ -419,6 +427,11 @@ class Tensor:
         """Whether this tensor, which must not be released, is all that the other is: the same elements in order."""
         return not self.released and self.contiguous and other.contiguous and (self.start, self.shape, self.dtype) == (
             other.start, other.shape, other.dtype)
+
+    def is_on(self, array: object) -> bool:
+        """Whether this tensor, which must not be released, is a NumPy array of float32 in memory that both see."""
+        return isinstance(array, np.ndarray) and array.dtype == np.float32 and array.flags.c_contiguous \
+            and not self.released and (self.start, self.shape) == (address(array), array.shape)
 
     def host_view(self) -> np.ndarray:
         """Writable view for compiled kernels, made once; checks only that the host can see the memory."""
