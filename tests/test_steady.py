@@ -68,8 +68,8 @@ def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int, t
 
 
 def test_planes_in_the_same_memory_are_known_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands are searched for hazards once for each of two histories, and results are those of planes that lie
-    elsewhere in each frame, which nothing keeps in memory."""
+    """Commands are searched for hazards once, and results are those of planes that lie elsewhere in each frame, which
+    nothing keeps in memory."""
     monkeypatch.setattr("postfx.runtime.heap.CHUNK", 1)
     made: list[int] = []
     same, other = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()], Device("cpu", threads=1))
@@ -83,7 +83,7 @@ def test_planes_in_the_same_memory_are_known_again(monkeypatch: pytest.MonkeyPat
         with monkeypatch.context() as patch:
             patch.setattr("postfx.runtime.commands.Footprint", lambda records: made.append(1) or Footprint(records))
             found = same(lasting)
-        assert len(made) == before + (number < 3)
+        assert len(made) == before + (number < 1)
         assert same.device.heap.size < 1.2 * same.device.heap.used  # the first frame's memory went when the second came
         np.testing.assert_array_equal(found[Role.COLOUR], other(new)[Role.COLOUR])
         gone.append(weakref.ref(new[Role.COLOUR]))

@@ -243,14 +243,16 @@ class Frames:
             layers: parts and alpha that are filtered beside the picture.
             written: where they are written, by the kernels' names, and perhaps the output.
         """
-        self._history.turn(commands, (self._sizes.h, self._sizes.w), keep)
+        apart = bool(still or band or self._bands or layers or self._reactive) or self.model == CLASSIC
+        self._history.turn(commands, (self._sizes.h, self._sizes.w), keep, apart)
         self._common["params"].upload(params)
         if keep != self._kept:
             self._common["keep"].fill(keep)
             self._kept = keep
         seen = {**planes, **self._common, **self._history.last}
         targets = {"output": self._output, **self._history.next, **written}
-        moves, masked = keep and not still, keep and self._reactive
+        # the last output is warped to other memory where it is replaced, even if nothing of it counts
+        moves, masked = keep and not still or self._history.is_replaced, keep and self._reactive
         kept = self._history.cover(band.rows_held if band and not layers else (0, self._sizes.h))
         record = partial(self._record, commands, seen, targets, moves, masked, band, kept, layers)
         if layers:  # whose tensors are many

@@ -44,18 +44,24 @@ class Room:
 
 
 class History:
-    """The last output, accumulated state, depth and reactive mask, in two sets that alternate.
+    """The last output, accumulated state, depth and reactive mask: one set, which each frame replaces, until a frame
+    needs the last one to its end; from then on two sets that alternate.
 
     The output keeps its size. The rest has its frame's render size, and is resampled when the next frame has another.
     """
 
     def __init__(self, device: Device, sizes: Sizes, reactive: bool) -> None:
-        self._device, self._size = device, (sizes.h, sizes.w)
+        self._device, self._size, self._output = device, (sizes.h, sizes.w), (sizes.height, sizes.width)
         self._channels = CHANNELS | ({"last_reactive": 1} if reactive else {})
-        self._outputs = [make_zeros(device, "history", (sizes.height, sizes.width, 3)) for _ in range(2)]
+        self._outputs = [self._make_output()]
         self._rooms = self._make_rooms()
-        self._held = _anywhere(self._size)
+        self._held = self._anywhere()
         self._model: str | None = None
+
+    @property
+    def is_replaced(self) -> bool:
+        """Whether what this frame leaves lies where what it finds does."""
+        return len(self._outputs) == 1
 
     def use(self, model: str) -> None:
         """Between two frames: `model` works on the next one."""
@@ -63,17 +69,21 @@ class History:
             self._forget_hidden()
         self._model = model
 
-    def turn(self, commands: CommandBuffer, size: Shape, keep: bool) -> None:
+    def turn(self, commands: CommandBuffer, size: Shape, keep: bool, apart: bool) -> None:
         """Begin a frame of this render size: the tensors written last become the history. Their content is only defined
-        if the history is not kept."""
+        if the history is not kept. `apart`: the frame needs them to its end."""
+        if self.is_replaced and (apart or size != self._size):
+            self._rooms = [*self._make_rooms(), *self._rooms]
+            self._held *= 2
+            self._outputs.insert(0, self._make_output())
         self._outputs.reverse()
         self._rooms.reverse()
         self._held.reverse()
-        if not keep or size != self._size:  # nor after a frame that failed
-            self._held = _anywhere(size)
-        if size == self._size:
+        before, changed, self._size = self._rooms[0].of(self._size), size != self._size, size
+        if not keep or changed:  # nor after a frame that failed
+            self._held = self._anywhere()
+        if not changed:
             return
-        before, self._size = self._rooms[0].of(self._size), size
         if size[0] * size[1] > self._rooms[0].pixels:
             self._rooms = self._make_rooms()
         else:
@@ -84,7 +94,7 @@ class History:
     def cover(self, rows: Rows) -> Rows:
         """Call once a frame, which leaves something in these rows only. Returns the rows to write: also those in which
         an earlier frame left something."""
-        before, self._held[1] = self._held[1], rows
+        before, self._held[-1] = self._held[-1], rows
         return min(rows[0], before[0]), max(rows[1], before[1])
 
     @property
@@ -95,7 +105,7 @@ class History:
     @property
     def next(self) -> dict[str, Tensor]:
         """The tensors that this frame writes for the next, by the kernels' names."""
-        tensors = {"history": self._outputs[1], **self._rooms[1].of(self._size)}
+        tensors = {"history": self._outputs[-1], **self._rooms[-1].of(self._size)}
         return {NEXT[name]: tensor for name, tensor in tensors.items()}
 
     def snapshot(self) -> dict[str, np.ndarray]:
@@ -106,14 +116,21 @@ class History:
         """Between two frames: replace the history by `kept`."""
         height, width = kept["size"]
         self._size = int(height), int(width)
-        if self._size[0] * self._size[1] > self._rooms[1].pixels:
+        if self._size[0] * self._size[1] > self._rooms[-1].pixels:
             self._rooms = self._make_rooms()
-        self._held = _anywhere(self._size)
+        self._held = self._anywhere()
         for name, tensor in self.next.items():
             tensor.upload(kept[name])
 
     def _make_rooms(self) -> list[Room]:
-        return [Room(self._device, self._size[0] * self._size[1], self._channels) for _ in range(2)]
+        return [Room(self._device, self._size[0] * self._size[1], self._channels) for _ in self._outputs]
+
+    def _make_output(self) -> Tensor:
+        return make_zeros(self._device, "history", (*self._output, 3))
+
+    def _anywhere(self) -> list[Rows]:
+        """The rows in which each set may hold something: all."""
+        return [(0, self._size[0])] * len(self._outputs)
 
     def _resize(self, commands: CommandBuffer, before: dict[str, Tensor]) -> None:
         """Record the work that resizes the history to this frame's size."""
@@ -135,15 +152,10 @@ class History:
     def _forget_hidden(self) -> None:
         """Another network cannot read the hidden state. Zeros in its place are what every network knows from first
         frames."""
-        state = self._rooms[1].of(self._size)["state"]
+        state = self._rooms[-1].of(self._size)["state"]
         values = state.download()
         values[..., -HIDDEN:] = 0
         state.upload(values)
-
-
-def _anywhere(size: Shape) -> list[Rows]:
-    """The rows in which each of the two sets may hold something: all."""
-    return [(0, size[0])] * 2
 
 
 def make_zeros(device: Device, name: str, shape: tuple[int, ...]) -> Tensor:
