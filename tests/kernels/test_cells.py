@@ -13,6 +13,7 @@ from postfx.kernels.statistics import (
     INFINITY_BITS,
     band_of,
     block_means,
+    coverage_noise,
     half_means,
     largest_bits,
     lend,
@@ -173,3 +174,16 @@ def test_many_threads_find_what_one_finds() -> None:
     with lend(divide):
         assert look() == wanted
     assert len(divided) == 4 and min(divided) > 1 and wanted[3]
+
+
+def test_coverage_noise_is_the_share_of_pixels_unlike_their_neighbours() -> None:
+    near, far = np.full((40, 60), 3, np.float32), np.full((40, 60), 1e10, np.float32)
+    edge = np.where(np.arange(60) < 30, near, far)
+    for surface in (near, far, edge, edge.T, np.full((40, 60), np.nan, np.float32), near + np.arange(60, dtype="f4")):
+        assert coverage_noise(surface, 1e9) == 0
+    for spot, around in ((near, far), (far, near)):
+        spotted = around.copy()
+        spotted[5:35:3, 5:55:5] = spot[5:35:3, 5:55:5]  # 50 pixels in 19 rows of 58
+        assert coverage_noise(spotted, 1e9) == pytest.approx(50 / (19 * 58))
+    white = np.where(np.random.default_rng(1).random((200, 200)) < 0.5, np.float32(3), np.float32(0))
+    assert coverage_noise(white, 1e9) == pytest.approx(5 / 16, abs=0.01)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -160,3 +162,27 @@ def test_lost_guides_are_remarked() -> None:
     assert DenoiseUpscale().remarks(everything) == ()
     alone, blurred = DenoiseUpscale().remarks(bare)
     assert "no motion plane" in alone and "normal" in blurred and "motion" not in blurred
+
+
+def hazy(number: int, share: float) -> Frame:
+    """A frame whose depth hits and misses at random in this share of its rows."""
+    frame = noisy(number, 48, 64)
+    depth = frame.planes[Role.DEPTH].copy()
+    rows = round(48 * share)
+    depth[:rows][np.random.default_rng(number).random((rows, 64, 1)) < 0.5] = 1e10
+    return replace(frame, planes={**frame.planes, Role.DEPTH: depth})
+
+
+@pytest.mark.parametrize("model", ["s", "classic"])
+def test_depth_and_albedo_are_left_out_where_depth_is_noise(device: Device, model: str) -> None:
+    shares = (0.0, 0.6, 0.34, 0.2)  # 0.34 is too little noise to begin, and enough to go on
+    frames = [hazy(number, share) for number, share in enumerate(shares)]
+    lost = (Role.DEPTH, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+    bare = [replace(f, planes={**f.planes, **{role: np.full_like(f.planes[role], role is Role.DEPTH) for role in lost}})
+            if number in (1, 2) else f for number, f in enumerate(frames)]
+    pipeline, other = (Pipeline([DenoiseUpscale(scale=2, model=model)], device, exposure=0.0, cuts="none")
+                       for _ in range(2))
+    for number, (frame, wanted) in enumerate(zip(frames, bare, strict=True)):
+        np.testing.assert_array_equal(pipeline(frame)[Role.COLOUR], other(wanted)[Role.COLOUR], f"frame {number}")
+    told = {item.what: item.why for item in pipeline.explain().skips}
+    assert told["depth and albedo of 2 frames in denoise_upscale"] == "depth is noise, as in fog"

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from postfx.passes.denoise.planes import HAZY, shows_volume
 from training import ops
 from training.denoise.model import Guides, Inputs, State
 
@@ -38,8 +39,9 @@ class Clip:
     ``PAIRS``). ``spread`` (V,) says which renders spread their samples over the pixel, ``samples`` (V,) gives the
     samples a pixel; ``keep`` (T,) is 0 at cuts and at the first frame; ``guides`` (T, 11, H, W) float16 are the planes
     at output size, if asked for. ``halved`` (V,) marks renders from half of the reference's samples, which are compared
-    with the other ``half`` (T, 3, H, W); ``exact`` (V,) marks renders with the true planes. A clip of ``weight`` 2 is
-    drawn twice as often as one of weight 1.
+    with the other ``half`` (T, 3, H, W); ``exact`` (V,) marks renders with the true planes, ``hazy`` (V,) those of a
+    volume, which have no depth and albedo, as in the product. A clip of ``weight`` 2 is drawn twice as often as one of
+    weight 1.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Clip:
     half: Tensor | None
     halved: list[bool]
     exact: list[bool]
+    hazy: list[bool]
     samples: list[int]
     pairs: tuple[str, ...] = ()
     weight: float = 1.0
@@ -109,9 +112,13 @@ def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[st
     if guides and "guide_depth" not in data.files:
         raise ValueError(f"{path}: no planes at output size, which --guides needs")
     variants = sorted({k.split("_", 1)[0] for k in data.files if k.startswith("v") and k[1].isdigit()})
+    hazy = {v: shows_volume(data[f"{v}_depth"][0, ..., None].astype(np.float32)) for v in variants}
 
     def plane(key: str) -> Tensor:
         values = torch.from_numpy(data[key]).to(device)
+        variant, _, name = key.partition("_")
+        if hazy.get(variant) and name in HAZY:
+            values = torch.full_like(values, ABSENT[name])
         values = values.movedim(-1, 1) if values.ndim == 4 else values[:, None]
         if key.startswith("v") and key.endswith("_depth"):
             values = values.clamp(1e-4, 1e10).log2()
@@ -136,6 +143,7 @@ def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[st
         plane("half") if "half" in data.files else None,
         [f"{v}_half" in data.files and bool(data[f"{v}_half"]) for v in variants],
         [f"{v}_exact" in data.files and bool(data[f"{v}_exact"]) for v in variants],
+        [hazy[v] for v in variants],
         [int(data[f"{v}_spp"]) for v in variants],
         pairs,
     )
@@ -280,7 +288,7 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
     planes = torch.stack([c.planes[v, ..., w[0], w[1]] for c, v, w in chosen]).float()
     albedos = torch.full_like(planes[:, :, ALBEDOS], torch.nan)
     for entry, (other, (clip, variant, window)) in enumerate(zip(surfaces or variants, chosen, strict=True)):
-        known = true_planes(clip, other)
+        known = None if clip.hazy[other] else true_planes(clip, other)
         if known is not None:
             albedos[entry] = clip.planes[known, :, ALBEDOS, window[0], window[1]]
         if other != variant:

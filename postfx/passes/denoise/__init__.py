@@ -278,6 +278,7 @@ class DenoiseUpscale(Pass):
         still = keep and gain == 1 and self._is_still(frame)
         savings.begin(1.0 if band is None else band.share, keep, still)
         planes: Mapping[str, Tensor] = ready.planes.encode(commands, frame)
+        savings.note_planes(ready.planes.hazy)
         planes = {**planes, **ready.reactive.encode(commands, frame)}
         if ready.reflections:
             change = self._cameras.step(frame, keep and not still, savings.note_unfollowed)
@@ -376,7 +377,7 @@ class Savings:
 
     def __init__(self) -> None:
         self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind()}
-        self._alone = self._still = self._resized = self._known = self._full = 0
+        self._alone = self._still = self._resized = self._known = self._full = self._hazy = 0
         self._now = "whole"
         self._unfollowed: Counter[str] = Counter()
 
@@ -392,6 +393,10 @@ class Savings:
     def note_unblended(self) -> None:
         """This frame is denoised fully although it has a strength plane."""
         self._full += 1
+
+    def note_planes(self, hazy: bool) -> None:
+        """`hazy`: this frame's depth and albedo are left out."""
+        self._hazy += hazy
 
     def note_resize(self, known: bool) -> None:
         """The next frame has another size; `known`: whether it is already prepared."""
@@ -424,6 +429,8 @@ class Savings:
             found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion plane"))
         if self._still:
             found.append((f"reprojection of the last output for {_count(self._still)}", "nothing moves"))
+        if self._hazy:
+            found.append((f"depth and albedo of {_count(self._hazy)}", "depth is noise, as in fog"))
         found += [(f"motion of reflections for {_count(frames)}", why) for why, frames in self._unfollowed.items()]
         if self._resized:
             found.append((f"preparation at {self._known} of {_count(self._resized, 'change')} of size",

@@ -1,6 +1,6 @@
-"""Planes of a frame beside the network: stand-ins for those that it lacks, planes that are only resampled, and the
-reactive mask; at the end the detail that the colour gets back, what alpha gets of its samples, and the blend with
-the input by strength.
+"""Planes of a frame beside the network: stand-ins for those that it lacks or that are noise, planes that are only
+resampled, and the reactive mask; at the end the detail that the colour gets back, what alpha gets of its samples, and
+the blend with the input by strength.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import NEAR_CELL
+from postfx.kernels.denoise import FARTHEST, NEAR_CELL
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.history import REACTIVE
 from postfx.kernels.denoise.output import DETAIL, JUDGE, RESTORE, STRENGTH, SUMS, TILE
 from postfx.kernels.denoise.prepare import DILATE
 from postfx.kernels.image import ENLARGE, RESAMPLE, positions
-from postfx.kernels.statistics import bounds_of_cells
+from postfx.kernels.statistics import bounds_of_cells, coverage_noise
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.history import LayerHistory
 from postfx.passes.denoise.options import ReactiveOption, Size
@@ -28,6 +28,10 @@ from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device,
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.
 ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0, Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0,
           Role.MOTION: 0.0}
+HAZY = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DEPTH)
+"""Planes that are left out in a volume: they show the surface behind it for the samples that came so far."""
+FOUND, LOST = 0.12, 0.08
+"""From this share of noise in what depth covers on a frame shows a volume, and below the second it no longer does."""
 
 
 class Resampler:
@@ -77,11 +81,17 @@ class Resampler:
 class Planes:
     """Planes and guides under the names that the kernels give them: 'normal', and 'guide_normal' at output size.
 
-    A plane that the frame has at one size only is resampled to the other; a missing plane is constant.
+    A plane that the frame has at one size only is resampled to the other; a missing plane is constant. So are depth
+    and albedo where depth is noise: in a volume.
+
+    Attributes:
+        hazy: whether the last frame showed a volume.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool) -> None:
         render = Size(spec.height, spec.width)
+        self._device, self._spec, self.hazy, self._looked = device, spec, False, False
+        self._haze: dict[str, Tensor] = {}
         self._held = [role for role in ABSENT if spec.has(role)]
         self._guides = [role for role in GUIDE_ROLES if guided and role in spec.guide_roles]
         self._constants: dict[str, Tensor] = {}
@@ -111,7 +121,26 @@ class Planes:
         planes |= {f"guide_{role}": frame.guides[role] for role in self._guides}
         planes |= {str(role): resampler.output for role, resampler in self._reduced.items()}
         planes |= {f"guide_{role}": resampler.output for role, resampler in self._enlarged.items()}
-        return planes | self._constants
+        return planes | self._constants | self._find_haze(frame)
+
+    def _find_haze(self, frame: ResidentFrame) -> dict[str, Tensor]:
+        """Stand-ins for the planes that a volume hides, if it does. Planes on the device are looked at where a sequence
+        begins."""
+        if Role.DEPTH not in self._held:
+            return {}
+        if not frame.is_away or frame.reset or not self._looked:
+            self.hazy = shows_volume(frame.host_planes[Role.DEPTH], self.hazy and not frame.reset)
+            self._looked = True
+        if self.hazy and not self._haze:
+            size = Size(self._spec.height, self._spec.width)
+            self._haze = {str(role): absent_plane(self._device, role, size) for role in HAZY if role in self._held}
+        return self._haze if self.hazy else {}
+
+
+def shows_volume(depth: np.ndarray, before: bool = False) -> bool:
+    """Whether hits and misses of depth (h, w, 1) are noise, as they are where Cycles scatters light in a volume;
+    `before`: the last frame's were."""
+    return bool(coverage_noise(depth[..., 0], FARTHEST) > (LOST if before else FOUND))
 
 
 def absent_plane(device: Device, role: Role, size: Size) -> Tensor:
