@@ -1,6 +1,6 @@
 """What the host looks at in a frame's planes before it is uploaded: whether all numbers are finite, the light of blocks
-of pixels, on which exposure is metered, a coarse grid's cells, by which cuts are found, where alpha differs, and whether
-depth is noise.
+of pixels, on which exposure is metered, a coarse grid's cells, by which cuts are found, where alpha differs, and
+whether depth is noise.
 
 Loops over rows become vector instructions. Sums keep their order, so that a multiplier does not depend on them, nor on
 the threads that a pipeline lends for the largest of these.
