@@ -3,9 +3,9 @@
     python -m training.datagen.make_sample views VIEWS
     python -m training.scene_network VIEWS MODELS
 
-Trains three networks of the same shape, and writes their weights in half precision, as PyTorch's for --start and as
-ONNX: shading.onnx from planes alone; temporal.onnx from planes and its own previous state; amplifier.onnx from planes
-and colour of one sample a pixel. These two begin with the weights of MODELS/shading.pt, if it is there.
+Trains three networks of the same shape, and writes their weights in half precision, as PyTorch's (KIND.pt) and as ONNX:
+shading.onnx from planes alone; temporal.onnx from planes and its own previous state; amplifier.onnx from planes and
+colour of one sample a pixel. These two begin with the weights of MODELS/shading.pt, if it is there.
 `samples/scene_network.py` runs and measures them.
 
 The networks read first-hit planes of one sample a pixel, and the camera: from them, the graph finds each pixel's place
@@ -26,8 +26,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-WIDTHS = (48, 64, 96, 112)
-BANDS, BOX_BANDS = 6, 5
+WIDTHS = (48, 64, 96, 104)
+BANDS, BOX_BANDS, WAY_BANDS = 6, 5, 4
 EMITTER = 0.005
 INPUTS = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "camera")
 KINDS = {"shading": (), "temporal": ("motion", "before"), "amplifier": ("colour",)}
@@ -93,15 +93,15 @@ class SceneNetwork(nn.Module):
         self.register_buffer("low", low)
         self.register_buffer("high", high)
         extra = {"shading": 0, "temporal": 4, "amplifier": 3}[kind]
-        features = 6 * BANDS + 6 * BOX_BANDS + 23 + extra
+        features = 6 * (BANDS + BOX_BANDS + WAY_BANDS) + 23 + extra
         self.stem = nn.Conv2d(features, WIDTHS[0], 1)
         self.first = nn.Conv2d(WIDTHS[0], WIDTHS[0], 3, padding=1)
         self.downs = nn.ModuleList(nn.Conv2d(a, b, 3, 2, 1) for a, b in zip(WIDTHS, WIDTHS[1:], strict=False))
         self.encoders = nn.ModuleList([nn.Conv2d(WIDTHS[1], WIDTHS[1], 3, padding=1), Block(WIDTHS[2]),
                                        Block(WIDTHS[3])])
         self.ups = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in zip(WIDTHS, WIDTHS[1:], strict=False))
-        self.decoders = nn.ModuleList([nn.Conv2d(WIDTHS[0], WIDTHS[0], 3, padding=1),
-                                       nn.Conv2d(WIDTHS[1], WIDTHS[1], 3, padding=1), Block(WIDTHS[2])])
+        self.decoders = nn.ModuleList([Block(WIDTHS[0]), nn.Conv2d(WIDTHS[1], WIDTHS[1], 3, padding=1),
+                                       Block(WIDTHS[2])])
         self.last = nn.Conv2d(WIDTHS[0], 4 if kind == "temporal" else 3, 1)
         nn.init.constant_(self.last.bias, 0.5)
 
@@ -120,8 +120,8 @@ class SceneNetwork(nn.Module):
         leaves = (place + reach * slope).clamp(-1.5, 1.5)
         roughness = x["roughness"]
         albedo = torch.cat([x["diffuse_albedo"], x["specular_albedo"]], 1)
-        parts = [place, waves(place, BANDS), waves(leaves, BOX_BANDS), leaves, normal, mirrored, albedo, roughness,
-                 hit, torch.log1p(x["depth"].clamp(max=1e3)) / 3,
+        parts = [place, waves(place, BANDS), waves(leaves, BOX_BANDS), waves(mirrored, WAY_BANDS), leaves, normal,
+                 mirrored, albedo, roughness, hit, torch.log1p(x["depth"].clamp(max=1e3)) / 3,
                  x["camera"][:, 14:16, None, None].expand(-1, -1, *ray.shape[2:])]
         return torch.cat(parts, 1), place
 
@@ -133,10 +133,9 @@ class SceneNetwork(nn.Module):
 
     def body(self, features: torch.Tensor) -> torch.Tensor:
         """The U-Net: features -> logarithm of light, and for `temporal` the share of history."""
-        x = F.relu(self.stem(features))
-        with torch.autocast(x.device.type, torch.bfloat16, enabled=x.is_cuda and self.training,
+        with torch.autocast(features.device.type, torch.bfloat16, enabled=features.is_cuda and self.training,
                             cache_enabled=False):
-            x, kept = F.relu(self.first(x)), []
+            x, kept = F.relu(self.first(F.relu(self.stem(features)))), []
             for down, encode in zip(self.downs, self.encoders, strict=True):
                 kept.append(x)
                 x = F.relu(encode(F.relu(down(x))))
@@ -192,16 +191,21 @@ class Exported(nn.Module):
         return tuple(made) if len(made) > 1 else made[0]
 
 
-def save(network: SceneNetwork, path: Path) -> None:
-    """Write ONNX with weights rounded to half precision, which changes the network."""
+def load(kind: str, path: Path) -> SceneNetwork:
+    """The network of a file KIND.pt, on the CPU."""
+    weights = torch.load(path, map_location="cpu")
+    network = SceneNetwork(kind, weights["low"].float(), weights["high"].float())
+    network.load_state_dict(weights)
+    return network
+
+
+def export_network(network: SceneNetwork, path: Path) -> None:
+    """Write ONNX."""
     from torch.export import Dim
 
     from training.export import export, parity
 
-    with torch.no_grad():
-        for kept in network.state_dict().values():
-            kept.copy_(kept.half().float())
-    module, random = Exported(network.cpu().eval()), torch.Generator().manual_seed(0)
+    module, random = Exported(network.eval()), torch.Generator().manual_seed(0)
     channels = {"roughness": 1, "depth": 1, "motion": 2, "before": STATE}
     examples = [torch.rand(16, generator=random) if name == "camera" else
                 torch.rand(24, 40, channels.get(name, 3), generator=random) for name in module.reads]
@@ -214,6 +218,17 @@ def save(network: SceneNetwork, path: Path) -> None:
 
 # Training -----------------------------------------------------------------------------------------------------------
 
+HALVES = ("reference_a", "reference_b")
+
+
+def codes_of(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
+    """Codes of light that two independent noisy renders have in the mean.
+
+    Codes of a mean are too dark, as their curve bends; halves are so twice as much, which tells it (Quenouille 1956).
+    """
+    return 2 * to_codes((first + second) / 2) - (to_codes(first) + to_codes(second)) / 2
+
+
 class Views:
     """Views on a device, as tensors (V, T, H, W, C)."""
 
@@ -223,8 +238,7 @@ class Views:
         def load(path: Path) -> dict[str, np.ndarray]:
             with np.load(path) as file:
                 found = {name: file[name] for name in (*INPUTS, "motion", "colour")}
-                found["wanted"] = (file["reference_a"] + file["reference_b"]) / 2
-            return found
+                return found | {half: file[half] for half in HALVES}
 
         with ThreadPoolExecutor(8) as pool:
             every = list(pool.map(load, paths))
@@ -233,6 +247,7 @@ class Views:
         self.count, self.frames, self.height, self.width, _ = self.tensors["depth"].shape
         self.colours = self.tensors["colour"].shape[1]
         self.device = device
+        self.tensors["wanted"] = codes_of(*(self.tensors.pop(half) for half in HALVES))
         cameras = self.tensors["camera"]
         flat = [rays(cameras[:, k], self.height, self.width).permute(0, 2, 3, 1) for k in range(self.frames)]
         self.tensors["ray"] = torch.stack(flat, 1).contiguous()
@@ -242,7 +257,7 @@ class Views:
         eye, depth = self.tensors["camera"][:, -1, None, None, 9:12], self.tensors["depth"][:, -1]
         places = (eye + depth * self.tensors["ray"][:, -1])[depth[..., 0] < 1e6][::37]
         ends = [places.kthvalue(max(1, round(share * (len(places) - 1))), 0).values for share in (0.001, 0.999)]
-        return ends[0].cpu(), ends[1].cpu()
+        return ends[0].cpu().half().float(), ends[1].cpu().half().float()
 
     def crops(self, picked: torch.Tensor, size: tuple[int, int], last: int) -> list[dict[str, torch.Tensor]]:
         """The last frames of crops: `picked` (B, 4) holds their views, rows, columns and which one-sample render."""
@@ -266,7 +281,7 @@ def loss_of(network: SceneNetwork, frames: list[dict[str, torch.Tensor]], begins
     """
     if network.kind != "temporal":
         found, _ = network(frames[-1], frames[-1]["ray"])
-        return F.mse_loss(to_codes(found), to_codes(frames[-1]["wanted"]))
+        return F.mse_loss(to_codes(found), frames[-1]["wanted"])
     batch, _, height, width = frames[0]["depth"].shape
     state = frames[0]["depth"].new_zeros(batch, STATE, height, width)
     change, codes = state.new_zeros(()), None
@@ -279,7 +294,7 @@ def loss_of(network: SceneNetwork, frames: list[dict[str, torch.Tensor]], begins
             same = network.same_surface(before, state[:, 3:6], frame)
             change = change + ((shown - warp(codes, frame["motion"])) * same).square().mean() / len(frames)
         codes = shown
-    return F.mse_loss(codes, to_codes(frames[-1]["wanted"])) + CHANGE * change
+    return F.mse_loss(codes, frames[-1]["wanted"]) + CHANGE * change
 
 
 CHANGE = 0.5
@@ -300,6 +315,8 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
     """Train with Adam at a rate that falls by half a cosine; returns the network with averaged weights."""
     device, cuda = views.device, views.device == "cuda"
     network.to(device, memory_format=torch.channels_last).train()
+    if args.compile:
+        network.compile()
     size = min(args.crop, views.height), min(args.crop, views.width)
     last = views.frames if network.kind == "temporal" else 1
     batch = max(1, args.batch // (2 if last > 1 else 1))
@@ -327,7 +344,7 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
             mean[name].lerp_(value.detach(), newest)
         return loss.detach()
 
-    graph, loss, done = None, torch.zeros(()), 0
+    graph, loss, done, began = None, torch.zeros(()), 0, time.monotonic()
     for done, passed in steps_of(seconds, args.steps):
         step_size.fill_(rate * min(1, (done + 1) / 100) * (0.5 + 0.5 * math.cos(math.pi * passed)) + 1e-6)
         newest.fill_(max(0.002, 10 / (done + 10)))
@@ -344,10 +361,11 @@ def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: 
             torch.cuda.current_stream().wait_stream(side)
             with torch.cuda.graph(graph):
                 loss = step()
+            began = time.monotonic()
         if done % args.report == 0:
             print(f"{network.kind} step {done}: {-10 * math.log10(float(loss)):.2f} dB, {passed:.0%}", flush=True)
-    print(f"{network.kind}: {done + 1} steps of {batch} crops, "
-          f"{sum(p.numel() for p in network.parameters())} parameters", flush=True)
+    print(f"{network.kind}: {done + 1} steps of {batch} crops, {1e3 * (time.monotonic() - began) / (done + 1):.2f} ms "
+          f"each, {sum(p.numel() for p in network.parameters())} parameters", flush=True)
     with torch.no_grad():
         for name, value in network.named_parameters():
             value.copy_(mean[name])
@@ -362,39 +380,34 @@ def begun_with(network: SceneNetwork, other: SceneNetwork) -> SceneNetwork:
     return network
 
 
+SHARES = {"shading": (1.0, 2e-3), "temporal": (0.65, 1e-3), "amplifier": (0.6, 1.5e-3)}
+"""Share of the seconds, and the rate that Adam begins with."""
+
+
 def train(args: argparse.Namespace) -> None:
-    """Write the networks."""
+    """Write the networks' weights."""
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
+    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = torch.backends.cudnn.benchmark = True
     torch.manual_seed(0)
     began = time.monotonic()
     views = Views(sorted(args.views.glob("view.[0-9]*[0-9].npz")), device)
     print(f"{views.count} views of {views.width}x{views.height}, loaded in {time.monotonic() - began:.0f} s",
           flush=True)
     args.models.mkdir(parents=True, exist_ok=True)
-    for kind, share, rate in (("shading", 1.0, 2e-3), ("amplifier", 0.75, 1.5e-3), ("temporal", 0.75, 1e-3)):
-        if kind not in args.kinds:
-            continue
-        network, base = SceneNetwork(kind, *views.box()), args.models / "shading.pt"
+    for kind in args.kinds:
+        base = args.models / "shading.pt"
         if args.start:
-            network.load_state_dict(torch.load(args.start / f"{kind}.pt"))
-        elif kind != "shading" and base.exists():
-            other = SceneNetwork("shading", *views.box())
-            other.load_state_dict(torch.load(base))
-            network = begun_with(network, other)
-        began = time.monotonic()
+            network = load(kind, args.start / f"{kind}.pt")
+        else:
+            network = SceneNetwork(kind, *views.box())
+            if kind != "shading" and base.exists():
+                network = begun_with(network, load("shading", base))
+        began, (share, rate) = time.monotonic(), SHARES[kind]
         network = fit(network, views, args, args.seconds * share, rate)
         print(f"{kind}: {time.monotonic() - began:.0f} s", flush=True)
-        torch.save({name: value.half().cpu() for name, value in network.state_dict().items()},
-                   args.models / f"{kind}.pt")
-        save(copy_of(network), args.models / f"{kind}.onnx")
-
-
-def copy_of(network: SceneNetwork) -> SceneNetwork:
-    """The same on the CPU."""
-    other = SceneNetwork(network.kind, network.low.cpu(), network.high.cpu())
-    other.load_state_dict({name: value.cpu() for name, value in network.state_dict().items()})
-    return other
+        weights, path = {name: value.half().cpu() for name, value in network.state_dict().items()}, args.models
+        torch.save(weights, path / f"{kind}.partial")
+        (path / f"{kind}.partial").replace(path / f"{kind}.pt")
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -402,13 +415,20 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("views", type=Path, help="folder of view.NNNN.npz")
     parser.add_argument("models", type=Path, help="folder to write to")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
-    parser.add_argument("--start", type=Path, help="folder of KIND.pt to go on from; with --steps 0 only exports them")
-    parser.add_argument("--seconds", type=float, default=55, help="of the first network; the others take 3/4 of that")
+    parser.add_argument("--start", type=Path, help="folder of KIND.pt to go on from")
+    parser.add_argument("--seconds", type=float, default=180, help="of the first network; the others take 2/3 of that")
     parser.add_argument("--steps", type=int, default=10**9, help="at most")
     parser.add_argument("--batch", type=int, default=16)
     parser.add_argument("--crop", type=int, default=128)
     parser.add_argument("--report", type=int, default=500, help="steps between two lines of progress")
-    train(parser.parse_args(argv))
+    parser.add_argument("--compile", action="store_true", help="compile the network; takes a minute at first")
+    parser.add_argument("--only", choices=("weights", "onnx"), help="leave ONNX out, or only export MODELS/KIND.pt")
+    args = parser.parse_args(argv)
+    if args.only != "onnx":
+        train(args)
+    if args.only != "weights":
+        for kind in args.kinds:
+            export_network(load(kind, args.models / f"{kind}.pt"), args.models / f"{kind}.onnx")
 
 
 if __name__ == "__main__":
