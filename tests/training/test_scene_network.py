@@ -23,7 +23,9 @@ from training.scene_network import (  # noqa: E402
     SceneNetwork,
     Views,
     begun_with,
+    codes_of,
     main,
+    to_codes,
     warp,
 )
 
@@ -67,6 +69,15 @@ def test_places_lie_in_the_room_and_motion_leads_back_to_them(views: Views) -> N
     followed, wrong = (network.same_surface(warp(states[0], motion), states[1][:, 3:6], now).float().mean()
                        for motion in (now["motion"], now["motion"] + 8))
     assert followed > 0.75 > wrong + 0.15
+
+
+def test_noise_does_not_darken_the_targets() -> None:
+    """The codes of noisy means are too dark by a hundredth, those of two halves by a fifth of that at most."""
+    random, light = torch.distributions.Gamma(3.0, 6.0), torch.tensor(0.5)
+    torch.manual_seed(0)
+    halves = random.sample((200_000,)), random.sample((200_000,))
+    plain, found = (float(codes.mean() - to_codes(light)) for codes in (to_codes(sum(halves) / 2), codes_of(*halves)))
+    assert plain < -0.01 and abs(found) < -plain / 5
 
 
 def test_history_is_of_no_use_where_there_is_none(views: Views) -> None:

@@ -1,7 +1,7 @@
 """Render the room of samples/room: its sequence with references, or views from all over it for networks of one scene.
 
 python -m training.datagen.make_sample frames OUT_FOLDER [--reference 1-8 [--reference-spp 192]] [--spp 4]
-python -m training.datagen.make_sample views OUT_FOLDER [--views 450] [--held-out 8] [--part 0/4]
+python -m training.datagen.make_sample views OUT_FOLDER [--views 1500] [--held-out 8] [--part 0/4]
     both [--variant llvm_ad_rgb | cuda_ad_rgb] [--width 320] [--height 180]
 
 Real-time style: every sample of a frame goes through one jittered position (Halton 2,3), so planes are point samples.
@@ -51,8 +51,8 @@ def main(argv: list[str] | None = None) -> None:
     frames.add_argument("--reference", type=FrameSet, default=(), metavar="FRAMES", help="such as 1-8 or 1,7,8")
     frames.add_argument("--reference-spp", type=int, default=192)
     views = commands.add_parser("views", help="views from all over the room")
-    views.add_argument("--views", type=int, default=450, help="to learn from")
-    views.add_argument("--spp", type=int, default=96, help="samples a pixel of their references")
+    views.add_argument("--views", type=int, default=1500, help="to learn from")
+    views.add_argument("--spp", type=int, default=48, help="samples a pixel of their references")
     views.add_argument("--held-out", type=int, default=8)
     views.add_argument("--held-spp", type=int, default=2048)
     views.add_argument("--stacks", type=int, default=4, help="held-out views with a stack of one-sample images")
