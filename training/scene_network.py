@@ -33,7 +33,7 @@ INPUTS = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "
 KINDS = {"shading": (), "temporal": ("motion", "before"), "amplifier": ("colour",)}
 """What each network reads beyond INPUTS."""
 STATE = 7
-"""Numbers of a pixel that `temporal` hands to the next frame: colour, place, and 1."""
+"""Numbers of a pixel that `temporal` hands to the next frame: light, place, and 1."""
 NEAR = 0.01
 """Distance of a place from the plane of the surface it is history of, in metres and in shares of the depth, at most."""
 
@@ -92,7 +92,7 @@ class SceneNetwork(nn.Module):
         self.kind = kind
         self.register_buffer("low", low)
         self.register_buffer("high", high)
-        extra = {"shading": 0, "temporal": 5, "amplifier": 3}[kind]
+        extra = {"shading": 0, "temporal": 4, "amplifier": 3}[kind]
         features = 6 * (BANDS + BOX_BANDS + WAY_BANDS) + 23 + extra
         self.stem = nn.Conv2d(features, WIDTHS[0], 1)
         self.first = nn.Conv2d(WIDTHS[0], WIDTHS[0], 3, padding=1)
@@ -125,16 +125,11 @@ class SceneNetwork(nn.Module):
                  x["camera"][:, 14:16, None, None].expand(-1, -1, *ray.shape[2:])]
         return torch.cat(parts, 1), place
 
-    def followed(self, before: torch.Tensor, place: torch.Tensor,
-                 x: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
-        """1 where a warped state (N, 7, H, W) is of the surface at these places, and within a pixel of there.
-
-        One sample of an edge hits either side: what a frame is short of there, the frames before it have seen.
-        """
+    def same_surface(self, before: torch.Tensor, place: torch.Tensor, x: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Where a warped state (N, 7, H, W) is of the surface at these places (N, 1, H, W)."""
         shift = (before[:, 3:6] - place) * (self.high - self.low)[None, :, None, None] / 2
         off = (shift * x["normal"]).sum(1, keepdim=True).abs()
-        same = ((before[:, 6:7] > 0.99) & (off < NEAR * (1 + x["depth"].clamp(max=1e3)))).float()
-        return same, F.max_pool2d(same, 3, 1, 1)
+        return (before[:, 6:7] > 0.99) & (off < NEAR * (1 + x["depth"].clamp(max=1e3)))
 
     def body(self, features: torch.Tensor) -> torch.Tensor:
         """The U-Net: features -> logarithm of light, and for `temporal` the share of history."""
@@ -161,12 +156,12 @@ class SceneNetwork(nn.Module):
             light = F.softplus(self.body(torch.cat([features, noisy], 1)))
             return shine * torch.expm1(light.clamp(max=12.0)), None
         before = warp(x["before"], x["motion"])
-        same, near = self.followed(before, place, x)
-        past = near * before[:, :3].clamp(min=0.0)
-        found = self.body(torch.cat([features, torch.log1p(past) / 3, same, near], 1))
-        now = shine * torch.expm1(F.softplus(found[:, :3]).clamp(max=12.0))
-        colour = torch.lerp(now, past, torch.sigmoid(found[:, 3:]) * near)
-        return colour, torch.cat([colour, place, torch.ones_like(near)], 1)
+        same = self.same_surface(before, place, x)
+        past = torch.where(same, before[:, :3], torch.zeros_like(before[:, :3]))
+        found = self.body(torch.cat([features, past / 3, same.float()], 1))
+        share = torch.sigmoid(found[:, 3:]) * same
+        light = torch.lerp(F.softplus(found[:, :3]), past, share)
+        return shine * torch.expm1(light.clamp(max=12.0)), torch.cat([light, place, torch.ones_like(share)], 1)
 
 
 def warp(image: torch.Tensor, motion: torch.Tensor) -> torch.Tensor:
@@ -296,8 +291,8 @@ def loss_of(network: SceneNetwork, frames: list[dict[str, torch.Tensor]], begins
         shown = to_codes(found)
         if codes is not None:
             before = warp(frame["before"], frame["motion"])
-            near = network.followed(before, state[:, 3:6], frame)[1]
-            change = change + ((shown - warp(codes, frame["motion"])) * near).square().mean() / len(frames)
+            same = network.same_surface(before, state[:, 3:6], frame)
+            change = change + ((shown - warp(codes, frame["motion"])) * same).square().mean() / len(frames)
         codes = shown
     return F.mse_loss(codes, frames[-1]["wanted"]) + CHANGE * change
 
