@@ -187,6 +187,17 @@ def test_a_network_shades_frames_that_it_has_not_seen(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 50000
 
 
+@pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="postfx-render[bench] is not installed")
+def test_networks_of_the_room_shade_its_sequence(tmp_path):
+    """History makes them calmer, and nearer to the reference."""
+    told = run("scene_network.py", str(tmp_path / "a.png"), "--runs", "1")
+    rows = re.findall(r"(?m)^(.{22}) +([\d.]+) dB  flicker +([\d.]+) +[\d.]+ ms a frame", told)
+    dB, flicker = ({name.strip(): float(values[k]) for name, *values in rows} for k in (0, 1))
+    assert dB["shading"] > 30.5 and dB["temporal"] > dB["temporal, no history"] + 0.1
+    assert flicker["temporal"] < 0.96 * flicker["temporal, no history"]
+    assert (tmp_path / "a.png").stat().st_size > 50000
+
+
 @pytest.mark.skipif(find_spec("matplotlib") is None, reason="postfx-render[bench] is not installed")
 def test_a_neural_material_is_better_than_coarser_blocks(tmp_path):
     pytest.importorskip("torch")

@@ -114,6 +114,16 @@ def test_a_network_is_trained_and_runs_in_a_command_buffer(rendered: Path, tmp_p
     assert 0.5 < worth < 64 and (tmp_path / "a.png").stat().st_size > 20000
 
 
+def test_the_room_s_amplifier_is_worth_more_than_the_stack(tmp_path: Path) -> None:
+    """At half the size that it has learnt from."""
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("flip_evaluator")
+    make_sample.main(["views", str(tmp_path), "--width", "128", "--height", "72", "--views", "0", "--held-out", "1",
+                      "--held-spp", "96", "--stack", "16"])
+    told = run_sample(str(tmp_path / "a.png"), "--views", str(tmp_path), "--runs", "1")
+    assert float(re.search(r"equivalent samples: ([\d.]+)", told)[1]) > 16
+
+
 def run_sample(*arguments: str) -> str:
     """What samples/scene_network.py prints."""
     printed = io.StringIO()
