@@ -93,21 +93,30 @@ __device__ inline Layer layer_of(const Network& net, int layer, const float* at)
     return {at, at + (SHARED ? height_of(makes) * WIDTH : reads * makes), reads, makes};
 }
 
-// Copy all parameters into the shared memory, where they are after a barrier.
+// Copy all parameters into the shared memory, where they are after a barrier. Many are read before any is written,
+// because each alone would wait for the card's memory.
 template <int WIDTH>
 __device__ inline void load_layers(const Network& net, const float* parameters, float* shared) {
+    const int many = 16;
     for (int layer = 0; layer < net.layers; layer++) {
         const Layer from = layer_of<WIDTH, false>(net, layer, parameters);
-        const int height = height_of(from.makes);
+        const int height = height_of(from.makes), floats = height * WIDTH;
         float* const to = shared + net.space[layer];
-#pragma unroll 4
-        for (int k = threadIdx.x; k < (height + 1) * WIDTH; k += THREADS) {
-            const int j = k / WIDTH, i = k % WIDTH;
-            const bool is_weight = j < from.makes && i < from.reads, is_bias = j == height && i < from.makes;
-            const float* const source = is_bias ? from.biases + i : from.weights + (is_weight ? j * from.reads + i : 0);
-            const float value = *source;
-            to[j * WIDTH + (is_bias ? i : i ^ turn_of(j))] = is_weight || is_bias ? value : 0.0f;
+        const float bias = threadIdx.x < from.makes ? from.biases[threadIdx.x] : 0.0f;
+        for (int begin = threadIdx.x; begin < floats; begin += many * THREADS) {
+            float values[many];
+#pragma unroll
+            for (int n = 0; n < many; n++) {
+                const int k = begin + n * THREADS, j = k / WIDTH, i = k % WIDTH;
+                values[n] = j < from.makes && i < from.reads ? from.weights[j * from.reads + i] : 0.0f;
+            }
+#pragma unroll
+            for (int n = 0; n < many; n++) {
+                const int k = begin + n * THREADS, j = k / WIDTH, i = k % WIDTH;
+                if (k < floats) to[j * WIDTH + (i ^ turn_of(j))] = values[n];
+            }
         }
+        if (threadIdx.x < WIDTH) to[floats + threadIdx.x] = bias;
     }
     __syncthreads();
 }
@@ -235,7 +244,8 @@ __device__ inline void each_pair(float* at, int width, Call call) {
     }
 }
 
-// What the first layer reads of some points, and 0 beside it and for points from `end` on, in a warp's rows.
+// What the first layer reads of some points, and 0 beside it and for points from `end` on, in a warp's rows. Numbers of
+// 16 points are read before any is used, because each alone would wait for the card's memory.
 __device__ inline void encode_points(const Network& net, const View& points, int first, int end, int count,
                                      float* rows) {
     const int width = up_to(net.size[0], 32);
@@ -243,10 +253,18 @@ __device__ inline void encode_points(const Network& net, const View& points, int
         const bool is_there = column < net.size[0];
         const float factor = net.factor[column];
         const float* const from = points.at + size_t(first) * net.inputs + net.source[column];
+        for (int begin = 0; begin < count; begin += TILE) {
+            float numbers[TILE];
+#pragma unroll
+            for (int k = 0; k < TILE; k++) {
+                numbers[k] = is_there && first + begin + k < end ? from[(begin + k) * net.inputs] : 0.0f;
+            }
 #pragma unroll 4
-        for (int p = 0; p < count; p++) {
-            const float number = is_there && first + p < end ? from[p * net.inputs] : 0.0f;
-            rows[p * width + (column ^ turn_of(p))] = is_there && first + p < end ? feature_of(number, factor) : 0.0f;
+            for (int k = 0; k < TILE; k++) {
+                const int p = begin + k;
+                const bool is_known = is_there && first + p < end;
+                rows[p * width + (column ^ turn_of(p))] = is_known ? feature_of(numbers[k], factor) : 0.0f;
+            }
         }
     }
     __syncwarp();
