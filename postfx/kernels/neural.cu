@@ -22,7 +22,7 @@ __device__ inline void add_product(float (&sums)[4], const unsigned (&left)[4], 
 }
 #endif
 
-const int WARPS = THREADS / 32, TILE = 16, MOST_POINTS = TILE * WARPS;
+const int WARPS = THREADS / 32, TILE = 16, MOST_POINTS = TILE * WARPS, GROUPED = 4;
 
 __device__ inline int up_to(int size, int unit) {
     return (size + unit - 1) / unit * unit;
@@ -348,19 +348,165 @@ __device__ inline void run_all(const Network& net, const float* weights, const V
     }
 }
 
+// What a lane needs of an (8, 8) block of weights: see `add_product`.
+struct alignas(16) Parts {
+    unsigned high[2], low[2];
+};
+
+// Layers of at most 64 numbers: blocks of 8 in a row, as 1, 4 or 8.
+__device__ inline int shift_of(int size) {
+    return size <= 8 ? 0 : size <= 32 ? 2 : 3;
+}
+
+__device__ inline int blocks_of(int reads, int makes) {
+    return (up_to(reads, 32) / 8) << shift_of(makes);
+}
+
+// Floats that a narrow network takes in the shared memory: biases, then its split weights.
+__device__ inline int split_floats(const Network& net) {
+    int blocks = 0;
+    for (int layer = 0; layer < net.layers; layer++) blocks += blocks_of(net.size[layer], net.size[layer + 1]);
+    return 64 * net.layers + blocks * 32 * 4;
+}
+
+// Copy biases and split weights into the shared memory, where they are after a barrier.
+__device__ inline void split_layers(const Network& net, const float* parameters, float* biases) {
+    const int many = 8;
+    Parts* to = reinterpret_cast<Parts*>(biases + 64 * net.layers);
+    for (int layer = 0; layer < net.layers; layer++) {
+        const Layer from = layer_of<64, false>(net, layer, parameters);
+        const int shift = shift_of(from.makes), count = blocks_of(from.reads, from.makes) * 32;
+        if (threadIdx.x < 64) {
+            biases[64 * layer + threadIdx.x] = threadIdx.x < from.makes ? from.biases[threadIdx.x] : 0.0f;
+        }
+        for (int begin = threadIdx.x; begin < count; begin += many * THREADS) {
+            Pair values[many];
+#pragma unroll
+            for (int n = 0; n < many; n++) {
+                const int k = begin + n * THREADS, lane = k % 32, block = k / 32, step = block >> shift;
+                const int j = 8 * (block - (step << shift)) + lane / 4, i = 8 * step + 2 * (lane % 4);
+                const float* const row = from.weights + j * from.reads + i;
+                values[n].x = j < from.makes && i < from.reads ? row[0] : 0.0f;
+                values[n].y = j < from.makes && i + 1 < from.reads ? row[1] : 0.0f;
+            }
+#pragma unroll
+            for (int n = 0; n < many; n++) {
+                Parts parts;
+                split(values[n].x, parts.high[0], parts.low[0]);
+                split(values[n].y, parts.high[1], parts.low[1]);
+                if (begin + n * THREADS < count) to[begin + n * THREADS] = parts;
+            }
+        }
+        to += count;
+    }
+    __syncthreads();
+}
+
+// sums += left right, where both are a warp's sums, and right is TILES blocks in a row. What `add_product` needs to the
+// left, of columns that are in another order there as in the blocks, is what it gives.
+template <int TILES, int DEPTH>
+__device__ inline void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& left, const Parts* right, int steps) {
+    const int lane = threadIdx.x % 32, group = TILES < GROUPED ? TILES : GROUPED;
+#pragma unroll
+    for (int step = 0; step < 8; step++) {
+        if (step == 4 && steps == 4) break;
+        unsigned high[DEPTH][4], low[DEPTH][4];
+#pragma unroll
+        for (int k = 0; k < 4 * DEPTH; k++) {
+            const int d = k / 4, to = k % 2 * 2 + k % 4 / 2;
+            split(left[d][step][k % 4], high[d][to], low[d][to]);
+        }
+#pragma unroll
+        for (int first = 0; first < TILES; first += group) {
+            Parts parts[group];
+            float found[DEPTH][group][4] = {};
+#pragma unroll
+            for (int n = 0; n < group; n++) parts[n] = right[(TILES * step + first + n) * 32 + lane];
+#pragma unroll
+            for (int k = 0; k < 3 * DEPTH * group; k++) {  // small products first
+                const int d = k % DEPTH, n = k / DEPTH % group, what = k / DEPTH / group;
+                add_product(found[d][n], what == 0 ? low[d] : high[d], what == 1 ? parts[n].low : parts[n].high);
+            }
+#pragma unroll
+            for (int k = 0; k < 4 * DEPTH * group; k++) {
+                const int d = k % DEPTH, n = k / DEPTH % group, r = k / DEPTH / group;
+                sums[d][first + n][r] += found[d][n][r];
+            }
+        }
+    }
+}
+
+// All layers of a narrow network: a layer's numbers stay in registers, where the next one reads them.
+template <int DEPTH>
+__device__ inline void run_narrow(const Network& net, const float* biases, float* rows, const View& points,
+                                  const View& values) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0], last = net.layers - 1;
+    const int warp = threadIdx.x / 32, together = TILE * DEPTH;
+    for (int tile = blockIdx.y + warp * gridDim.y; tile * together < total; tile += gridDim.y * WARPS) {
+        const Parts* right = reinterpret_cast<const Parts*>(biases + 64 * net.layers);
+        Sums<8, DEPTH> left = {};
+#pragma unroll
+        for (int d = 0; d < DEPTH; d++) {
+            encode_points(net, points, tile * together + TILE * d, total, TILE, rows);
+            each_pair<8>(rows, up_to(net.size[0], 32), [&](int n, int r, Pair& pair) {
+                left[d][n][2 * r] = pair.x, left[d][n][2 * r + 1] = pair.y;
+            });
+            __syncwarp();
+        }
+        for (int index = 0; index <= last; index++) {
+            const int reads = net.size[index], makes = net.size[index + 1], steps = up_to(reads, 32) / 8;
+            Sums<8, DEPTH> sums;
+#pragma unroll
+            for (int n = 0; n < 8; n++) {
+                const Pair bias = *reinterpret_cast<const Pair*>(biases + 64 * index + 8 * n + 2 * q);
+#pragma unroll
+                for (int d = 0; d < DEPTH; d++) {
+                    sums[d][n][0] = sums[d][n][2] = bias.x, sums[d][n][1] = sums[d][n][3] = bias.y;
+                }
+            }
+            if (makes > 32) {
+                add_blocks<8, DEPTH>(sums, left, right, steps);
+            } else if (makes > 8) {
+                add_blocks<4, DEPTH>(sums, left, right, steps);
+            } else {
+                add_blocks<1, DEPTH>(sums, left, right, steps);
+            }
+            right += blocks_of(reads, makes) * 32;
+            if (index < last && net.activation != RELU) {
+#pragma unroll
+                for (int d = 0; d < DEPTH; d++) {
+                    activate_rows(net.activation, makes, sums[d], rows, nullptr);
+                    each_pair<8>(rows, up_to(makes, 32), [&](int n, int r, Pair& pair) {
+                        sums[d][n][2 * r] = pair.x, sums[d][n][2 * r + 1] = pair.y;
+                    });
+                    __syncwarp();
+                }
+            }
+#pragma unroll
+            for (int k = 0; k < 32 * DEPTH; k++) {
+                const int d = k / 32, n = k / 4 % 8, r = k % 4;
+                left[d][n][r] = net.activation == RELU ? fmaxf(sums[d][n][r], 0.0f) : sums[d][n][r];
+                if (index < last || 8 * n >= makes) continue;
+                const int column = 8 * n + 2 * q + r % 2, p = tile * together + TILE * d + g + r / 2 * 8;
+                if (column < makes && p < total) values.at[size_t(p) * makes + column] = sums[d][n][r];
+            }
+        }
+    }
+}
+
 // network (12,), parameters (count,), points (points, inputs) -> values (points, outputs): warps take 16 or 32 points
 // at a time.
 extern "C" __global__ void __launch_bounds__(THREADS) neural_forward(View network, View parameters, View points,
                                                                  View values) {
     __shared__ Network net;
     read_network(network, net);
-    const int narrow = 64 / 8, wide = MOST_WIDTH / 8, rows = MOST_POINTS * MOST_WIDTH;
+    const int wide = MOST_WIDTH / 8, rows = MOST_POINTS * MOST_WIDTH, warp = threadIdx.x / 32;
     float* const weights = memory + rows;
-    if (rows + net.space[net.layers] > shared_floats()) {
+    if (net.widest <= 64 && split_floats(net) + MOST_POINTS * 64 <= shared_floats()) {
+        split_layers(net, parameters.at, memory);
+        run_narrow<2>(net, memory, memory + split_floats(net) + warp * TILE * 64, points, values);
+    } else if (rows + net.space[net.layers] > shared_floats()) {
         run_all<wide, 1, false>(net, parameters.at, points, values);
-    } else if (net.widest <= 8 * narrow) {
-        load_layers<8 * narrow>(net, parameters.at, weights);
-        run_all<narrow, 2, true>(net, weights, points, values);
     } else {
         load_layers<8 * wide>(net, parameters.at, weights);
         run_all<wide, 1, true>(net, weights, points, values);
