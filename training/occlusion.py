@@ -33,7 +33,9 @@ from training.export import export
 HELD = 12
 SETTINGS = np.float32((0.9, 0.0))
 READS = ("normal", "depth", "camera", "raw", "smooth")
-MEAN = 0.005
+WINDOWS = 3, 9, 27, 81
+"""Pixels of the squares in which the network compares a pixel's depth with those around it."""
+MEAN = 0.002
 """How fast the mean of the weights, which is exported, follows them."""
 
 
@@ -68,8 +70,13 @@ def classical(device: Device, view: dict[str, np.ndarray], k: int) -> tuple[np.n
 
 def planes_of(normal: torch.Tensor, depth: torch.Tensor, camera: torch.Tensor, raw: torch.Tensor,
               smooth: torch.Tensor) -> torch.Tensor:
-    """(1, 9, h, w): the normal; depth in radii, log; pixels of the radius, log; cosine of the normal to the view ray;
-    whether there is a surface; GTAO's raw and smooth visibility."""
+    """(1, 13, h, w): the normal; depth in radii, log; pixels of the radius, log; cosine of the normal to the view ray;
+    whether there is a surface; GTAO's raw and smooth visibility; for each window how much nearer than the pixel it is
+    in the mean, in radii, squeezed into [-1, 1].
+
+    The last four tell what few bits of the logarithm cannot. The reciprocal of depth is averaged, because it is linear
+    in the picture on a plane, so that planes have 0 however they lie.
+    """
     height, width = depth.shape[:2]
     radius, across, down = camera[9], camera[10], camera[11]
     z = depth[..., 0] / radius
@@ -80,8 +87,19 @@ def planes_of(normal: torch.Tensor, depth: torch.Tensor, camera: torch.Tensor, r
     size = torch.log((width / (2 * across * z)).clamp(0.25, 256.0))
     length = torch.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + 1)
     facing = (normal[..., 2] - normal[..., 0] * x[None, :] - normal[..., 1] * y[:, None]) / length
-    planes = (*normal.unbind(-1), torch.log(z), size, facing, there, raw, smooth)
+    heights = []
+    for window in WINDOWS:
+        nearer = z * (z * _box((there / z)[None, None], window)[0, 0] - 1)
+        heights.append(there * nearer / (1 + nearer.abs()))
+    planes = (*normal.unbind(-1), torch.log(z), size, facing, there, raw, smooth, *heights)
     return torch.stack(planes)[None]
+
+
+def _box(x: torch.Tensor, size: int) -> torch.Tensor:
+    """Means of squares (n, c, h, w), of what lies in the picture."""
+    half, mean = size // 2, F.avg_pool2d
+    rows = mean(x, (size, 1), stride=1, padding=(half, 0), count_include_pad=False)
+    return mean(rows, (1, size), stride=1, padding=(0, half), count_include_pad=False)
 
 
 # The network --------------------------------------------------------------------------------------------------------
@@ -100,15 +118,17 @@ class Block(nn.Module):
 
 
 class OcclusionNet(nn.Module):
-    """A U-Net of five levels, from planes (n, 9, h, w) to visibility (n, 1, h, w)."""
+    """A U-Net of five levels, from planes (n, 13, h, w) to visibility (n, 1, h, w); untrained, that of GTAO."""
 
     def __init__(self, width: int = 32) -> None:
         super().__init__()
         sizes = [width, width * 3 // 2, width * 2, width * 3, width * 4]
-        self.first = nn.Conv2d(9, width, 3, padding=1)
+        self.first = nn.Conv2d(9 + len(WINDOWS), width, 3, padding=1)
         self.down = nn.ModuleList(Block(sizes[max(k - 1, 0)], sizes[k]) for k in range(5))
         self.up = nn.ModuleList(Block(sizes[k + 1] + sizes[k], sizes[k]) for k in range(4))
         self.last = nn.Conv2d(width, 1, 3, padding=1)
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)  # type: ignore[arg-type]
 
     def forward(self, planes: torch.Tensor) -> torch.Tensor:
         kept, y = [], self.first(planes)
@@ -150,7 +170,7 @@ def export_network(network: OcclusionNet, path: Path) -> None:
 # Training -----------------------------------------------------------------------------------------------------------
 
 class Views:
-    """All views of a folder at all radii on a device: planes (n, 9, h, w) and truth (n, 1, h, w) in half precision."""
+    """All views of a folder at all radii on a device: planes (n, 13, h, w) and truth (n, 1, h, w) in half precision."""
 
     def __init__(self, folder: Path, place: torch.device) -> None:
         device, planes, truth, held = Device("cpu", threads=1), [], [], []
@@ -180,9 +200,9 @@ def mirrored(planes: torch.Tensor, truth: torch.Tensor, how: int) -> tuple[torch
 
 
 def squared_error(found: torch.Tensor, truth: torch.Tensor, planes: torch.Tensor) -> torch.Tensor:
-    """Mean over pixels with a surface."""
+    """Mean over pixels with a surface (n,)."""
     there = planes[:, 6:7]
-    return ((found - truth) ** 2 * there).sum() / there.sum().clamp(min=1)
+    return ((found - truth) ** 2 * there).sum((1, 2, 3)) / there.sum((1, 2, 3)).clamp(min=1)
 
 
 def measure(network: OcclusionNet, views: Views) -> str:
@@ -192,7 +212,7 @@ def measure(network: OcclusionNet, views: Views) -> str:
         planes, truth = views.batch(np.array([at]))
         with torch.no_grad():
             found = network(planes).clamp(0.0, 1.0)
-        errors += [squared_error(one, truth, planes).item() for one in (planes[:, 8:9], found)]
+        errors += [squared_error(one, truth, planes).mean().item() for one in (planes[:, 8:9], found)]
     before, after = -10 * np.log10(errors / max(len(views.held), 1) + 1e-12)
     return f"held-out: classical {before:.2f} dB, network {after:.2f} dB"
 
@@ -203,7 +223,7 @@ def train(views: Views, steps: int, width: int = 32, batch: int = 32, seed: int 
     random, place = np.random.default_rng(seed), views.planes.device
     network = OcclusionNet(width).to(place)
     mean = copy.deepcopy(network)
-    optimizer = torch.optim.AdamW(network.parameters(), 1e-3, weight_decay=1e-4)
+    optimizer = torch.optim.AdamW(network.parameters(), 1e-3, weight_decay=1e-3)
     for step in range(steps):
         begun, left = min(1, (step + 1) / min(200, steps / 4)), (1 + math.cos(math.pi * step / steps)) / 2
         for group in optimizer.param_groups:
@@ -211,14 +231,14 @@ def train(views: Views, steps: int, width: int = 32, batch: int = 32, seed: int 
         planes, truth = mirrored(*views.batch(random.choice(views.learnt, batch)), step % 4)
         with torch.autocast(place.type, torch.bfloat16, enabled=place.type == "cuda"):
             found = network(planes)
-        loss = squared_error(found.float(), truth, planes)
+        loss = torch.sqrt(squared_error(found.float(), truth, planes) + 1e-5).mean()  # each view counts
         optimizer.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 0.5)
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimizer.step()
         with torch.no_grad():
             for one, other in zip(mean.parameters(), network.parameters(), strict=True):
-                one.lerp_(other, MEAN if step > 2 / MEAN else 10 * MEAN)
+                one.lerp_(other, max(MEAN, 10 / (step + 10)))
         if step % 500 == 499:
             print(f"step {step + 1}: loss {loss.item():.5f}, {measure(network, views)}", flush=True)
     print(f"{step} steps; {measure(mean, views)}", flush=True)

@@ -47,6 +47,7 @@ def given(device: Device, view: dict[str, np.ndarray], k: int) -> list[np.ndarra
 def test_the_onnx_form_reads_what_the_kernels_make(tmp_path: Path) -> None:
     torch.manual_seed(0)
     device, network, view = Device("cpu", threads=1), OcclusionNet(8), make_view(0)
+    torch.nn.init.normal_(network.last.weight, std=0.05)
     arrays = given(device, view, 1)
     with torch.no_grad():
         wanted = network(planes_of(*map(torch.from_numpy, arrays)))[0, 0].clamp(0, 1).numpy()
@@ -84,4 +85,4 @@ def test_it_learns_what_the_normal_tells(tmp_path: Path) -> None:
     network = train(views, steps=60, width=8, batch=4)
     with torch.no_grad():
         after = squared_error(network(planes), truth, planes)
-    assert after < 0.3 * squared_error(planes[:, 8:9], truth, planes)
+    assert after.mean() < 0.3 * squared_error(planes[:, 8:9], truth, planes).mean()
