@@ -5,11 +5,11 @@ python samples/neural_speed.py --device cuda [--tf32] [--graph]
 
 The network has 3 inputs with 4 bands of Fourier features, 3 hidden layers of ReLU and 3 outputs. A step is the mean
 squared error, its gradient, and Adam (fused in torch). Runs are in turn; prints medians of milliseconds and how many
-times longer torch takes. `--eager` leaves compiled torch out. On a GPU times are of 20 runs or steps between two waits;
+times longer torch takes. `--eager` leaves compiled torch out. On a GPU times are of `--repeats` runs or steps between
+two waits, by the host's clock, and by the card's from the first of them to the end of the last (rows `by card`);
 `--tf32` lets torch round factors to 11 bits, `--graph` has compiled torch use CUDA graphs. Needs torch.
 """
 import argparse
-import statistics
 import time
 from collections.abc import Callable
 
@@ -20,8 +20,8 @@ from postfx import Device
 from postfx.neural import Learner, Network
 from postfx.runtime import CommandBuffer
 
-Form = Callable[[], object]
-BANDS, REPEATS = 4, 20
+Form = Callable[[], float]
+BANDS = 4
 
 
 class Module(torch.nn.Module):
@@ -66,13 +66,17 @@ class Ours:
                     encoder.barrier()
         return commands
 
-    def run(self) -> None:
-        self._run.commit()
-        self._run.wait()
+    def run(self) -> float:
+        return self._do(self._run)
 
-    def learn(self) -> None:
-        self._learn.commit()
-        self._learn.wait()
+    def learn(self) -> float:
+        return self._do(self._learn)
+
+    def _do(self, commands: CommandBuffer) -> float:
+        """Milliseconds by the device's clock."""
+        commands.commit()
+        commands.wait()
+        return sum(taken for _, taken in commands.timings)
 
 
 class Torch:
@@ -84,26 +88,41 @@ class Torch:
         self._adam = torch.optim.Adam(self._module.parameters(), 1e-3, fused=True)
         self._call = torch.compile(self._module, mode=mode) if mode else self._module
         self._places, self._targets = torch.from_numpy(points).to(device), torch.from_numpy(targets).to(device)
-        self._repeats, self._wait = repeats, torch.cuda.synchronize if device == "cuda" else lambda: None
+        self._repeats, self._is_gpu = repeats, device == "cuda"
 
-    def run(self) -> None:
+    def run(self) -> float:
         with torch.no_grad():
-            for _ in range(self._repeats):
-                self.values = self._call(self._places)
-        self._wait()
+            return self._do(self._run)
 
-    def learn(self) -> None:
+    def learn(self) -> float:
+        return self._do(self._learn)
+
+    def _run(self) -> None:
+        self.values = self._call(self._places)
+
+    def _learn(self) -> None:
+        self._adam.zero_grad()
+        torch.nn.functional.mse_loss(self._call(self._places), self._targets).backward()
+        self._adam.step()
+
+    def _do(self, once: Callable[[], None]) -> float:
+        """Milliseconds by the GPU's clock, 0 without one."""
+        marks = [torch.cuda.Event(enable_timing=True) for _ in range(2)] if self._is_gpu else []
+        for mark in marks[:1]:
+            mark.record()
         for _ in range(self._repeats):
-            self._adam.zero_grad()
-            torch.nn.functional.mse_loss(self._call(self._places), self._targets).backward()
-            self._adam.step()
-        self._wait()
+            once()
+        for mark in marks[1:]:
+            mark.record()
+            torch.cuda.synchronize()
+        return float(marks[0].elapsed_time(marks[1])) if marks else 0.0
 
 
-def milliseconds(form: Form) -> float:
+def milliseconds(form: Form) -> tuple[float, float]:
+    """By the host's clock, and by the device's."""
     begin = time.perf_counter()
-    form()
-    return 1000 * (time.perf_counter() - begin)
+    device = form()
+    return 1000 * (time.perf_counter() - begin), device
 
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -115,34 +134,36 @@ parser.add_argument("--eager", action="store_true")
 parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
 parser.add_argument("--tf32", action="store_true")
 parser.add_argument("--graph", action="store_true")
+parser.add_argument("--repeats", type=int, default=20)
 chosen = parser.parse_args()
 
 random = np.random.default_rng(0)
 points = random.uniform(-1, 1, (chosen.points, 3)).astype(np.float32)
 targets = random.normal(size=(chosen.points, 3)).astype(np.float32)
 modes = [None] if chosen.eager else [None, "reduce-overhead" if chosen.graph else "default"]
-repeats = REPEATS if chosen.device == "cuda" else 1
+repeats = chosen.repeats if chosen.device == "cuda" else 1
 torch.set_float32_matmul_precision("high" if chosen.tf32 else "highest")
-print(f"{'threads':>7} {'width':>5} {'what':<5} {'ours ms':>8} {'eager ms':>9} {'compiled ms':>11}  torch is slower")
+print(f"{'threads':>7} {'width':>5} {'what':<7} {'ours ms':>8} {'eager ms':>9} {'compiled ms':>11}  torch is slower")
 for threads in chosen.threads if chosen.device == "cpu" else [1]:
     torch.set_num_threads(threads)
     for width in chosen.widths:
         network = Network(3, (width,) * 3, 3, bands=BANDS)
         device = Device(chosen.device, threads=threads)
         ours = Ours(device, network, points, targets, repeats)
-        others = [Torch(chosen.device, network, points, targets, repeats, mode) for mode in modes]
+        twins = [Torch(chosen.device, network, points, targets, repeats, mode) for mode in modes]
         for what in ("run", "learn"):
-            forms = [getattr(form, what) for form in (ours, *others)]
+            forms = [getattr(form, what) for form in (ours, *twins)]
             for _ in range(3 if chosen.device == "cuda" else 1):  # compiles; CUDA graphs are captured the second time
                 for form in forms:
                     form()
             if what == "run":
                 values, bound = ours.values.download(), 1e-2 if chosen.tf32 else 1e-4
-                if max(np.abs(values - other.values.cpu().numpy()).max() for other in others) > bound:
+                if max(np.abs(values - other.values.cpu().numpy()).max() for other in twins) > bound:
                     raise SystemExit("the forms do not agree")
-            times = [[milliseconds(form) / repeats for form in forms] for _ in range(chosen.runs)]
-            own, *rest = (statistics.median(column) for column in zip(*times, strict=True))
-            ratios = " and ".join(f"{other / own:.1f}x" for other in rest)
-            digits = 3 if chosen.device == "cuda" else 1
-            shown = " ".join(f"{other:>{size}.{digits}f}" for other, size in zip(rest, (9, 11), strict=False))
-            print(f"{threads:>7} {width:>5} {what:<5} {own:>8.{digits}f} {shown}  {ratios}", flush=True)
+            times = np.array([[milliseconds(form) for form in forms] for _ in range(chosen.runs)]) / repeats
+            for clock, shown in enumerate((what, "by card")[:1 if chosen.device == "cpu" else 2]):
+                own, *rest = np.median(times[..., clock], axis=0)
+                ratios = " and ".join(f"{other / own:.1f}x" for other in rest)
+                digits = 3 if chosen.device == "cuda" else 1
+                others = " ".join(f"{other:>{size}.{digits}f}" for other, size in zip(rest, (9, 11), strict=False))
+                print(f"{threads:>7} {width:>5} {shown:<7} {own:>8.{digits}f} {others}  {ratios}", flush=True)

@@ -482,13 +482,22 @@ __device__ inline void run_narrow(const Network& net, const float* biases, float
                     __syncwarp();
                 }
             }
+            if (index < last) {
 #pragma unroll
-            for (int k = 0; k < 32 * DEPTH; k++) {
-                const int d = k / 32, n = k / 4 % 8, r = k % 4;
-                left[d][n][r] = net.activation == RELU ? fmaxf(sums[d][n][r], 0.0f) : sums[d][n][r];
-                if (index < last || 8 * n >= makes) continue;
-                const int column = 8 * n + 2 * q + r % 2, p = tile * together + TILE * d + g + r / 2 * 8;
-                if (column < makes && p < total) values.at[size_t(p) * makes + column] = sums[d][n][r];
+                for (int k = 0; k < 32 * DEPTH; k++) {
+                    const int d = k / 32, n = k / 4 % 8;
+                    left[d][n][k % 4] = net.activation == RELU ? fmaxf(sums[d][n][k % 4], 0.0f) : sums[d][n][k % 4];
+                }
+                continue;
+            }
+#pragma unroll
+            for (int n = 0; n < 8; n++) {
+                if (8 * n >= makes) break;
+#pragma unroll
+                for (int k = 0; k < 4 * DEPTH; k++) {
+                    const int column = 8 * n + 2 * q + k % 2, p = tile * together + k / 4 * TILE + g + k % 4 / 2 * 8;
+                    if (column < makes && p < total) values.at[size_t(p) * makes + column] = sums[k / 4][n][k % 4];
+                }
             }
         }
     }
