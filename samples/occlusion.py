@@ -1,14 +1,15 @@
-"""Ambient occlusion from normals and depth: classical, and by a small network, both against ray tracing.
+"""Ambient occlusion from normals and depth: classical, and by two networks, all against ray tracing.
 
 python samples/occlusion.py [PICTURE] [--train FOLDER --held-out FOLDER] [--steps 2000] [--unet FOLDER]
 
-The classical way is GTAO (postfx/kernels/occlusion.py). The network, 101-64-64-1, reads at each pixel what GTAO
+The classical way is GTAO (postfx/kernels/occlusion.py). A small network, 101-64-64-1, reads at each pixel what GTAO
 compares, and its result, and learns from ray-traced pixels by the fused kernels of postfx.neural. Then it runs as ONNX
-by the machine-learning encoder. Without folders, both sets are blocks and balls that are ray-traced here, from other
-seeds. With them, they are views by `python -m training.datagen.occlusion`. `--unet` is a folder with occlusion.onnx by
-`python -m training.occlusion`, a U-Net that corrects the classical result, too; sides are multiples of 16. Prints PSNR
-of visibility within radii of 0.06, 0.125 and 0.25 of the median depth, and milliseconds of a view; draws one held-out
-view. Needs matplotlib, onnx.
+by the machine-learning encoder, and so does a U-Net that sees the whole picture (samples/occlusion.onnx, made by
+`python -m training.occlusion`; `--unet` is the folder of another). Without folders, both sets are blocks and balls that
+are ray-traced here, from other seeds. With them, they are views by `python -m training.datagen.occlusion`. Sides are
+multiples of 16. Prints PSNR of visibility within radii of 0.06, 0.125 and 0.25 of the median depth, of the mean squared
+error of all views and as the mean over views, and milliseconds of a view; draws one held-out view. Needs matplotlib,
+onnx.
 """
 import argparse
 import tempfile
@@ -125,7 +126,7 @@ parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "occlusion.png")
 parser.add_argument("--train", type=Path, help="folder of views to learn from")
 parser.add_argument("--held-out", type=Path, help="folder of views to measure on")
-parser.add_argument("--unet", type=Path, help="folder with occlusion.onnx, which is measured, too")
+parser.add_argument("--unet", type=Path, default=Path(__file__).parent, help="folder with the U-Net, occlusion.onnx")
 parser.add_argument("--views", type=int, default=24, help="of blocks to learn from; a quarter as many are held out")
 parser.add_argument("--size", type=int, nargs=2, default=(192, 128), help="of views of blocks")
 parser.add_argument("--steps", type=int, default=2000)
@@ -183,40 +184,36 @@ print(f"{len(every)} pixels, {network.count} parameters, learnt in {time.process
 library = tempfile.TemporaryDirectory()
 network.save_onnx(Path(library.name) / "occlusion.onnx", learner.parameters.download())
 held = views_of(chosen.held_out, range(1000, 1000 + max(chosen.views // 4, 1)))
-names = ("classical", "network", *["U-Net"] * bool(chosen.unet))
+names = ("classical", "network", "U-Net")
 errors, times, drawn = np.zeros((len(RADII), len(names), len(held))), [], []
 for at, view in enumerate(held):
-    twin = device.pipeline_state(Library(library.name), "occlusion", {"points": view["depth"].size})
+    height, width = view["depth"].shape
+    networks = (device.pipeline_state(Library(library.name), "occlusion", {"points": height * width}),
+                device.pipeline_state(Library(chosen.unet), "occlusion", {"height": height, "width": width}))
     for k in range(len(RADII)):
-        made, classical_time = looked_at(view, k)
-        values = device.heap.tensor("values", (view["depth"].size, 1))
-        commands = device.command_buffer("network")
-        with commands.machine_learning_encoder("network") as encoder:
-            encoder.dispatch_network(twin, ArgumentTable(twin, {"points": made["points"], "values": values}))
-        commands.commit()
-        commands.wait()
-        times.append([classical_time, sum(taken for _, taken in commands.timings)])
+        made, taken = looked_at(view, k)
         there = made["surface"].array[..., 3] < FAR
-        network_found = np.where(there, np.clip(values.array.reshape(there.shape), 0, 1), 1)
-        found = [made["smooth"].array.copy(), network_found]
-        if chosen.unet:
-            unet = device.pipeline_state(Library(chosen.unet), "occlusion", dict(zip(("height", "width"), there.shape,
-                                                                                     strict=True)))
-            visible = device.heap.tensor("visible", there.shape)
-            commands = device.command_buffer("U-Net")
-            with commands.machine_learning_encoder("U-Net") as encoder:
-                bound = {name: made[name] for name in ("normal", "depth", "camera", "raw", "smooth")}
-                encoder.dispatch_network(unet, ArgumentTable(unet, bound | {"visible": visible}))
+        made["values"] = device.heap.tensor("values", (height * width, 1))
+        made["visible"] = device.heap.tensor("visible", (height, width))
+        times.append([taken])
+        for name, state, bound in zip(names[1:], networks, (("points", "values"), (
+                "normal", "depth", "camera", "raw", "smooth", "visible")), strict=True):
+            commands = device.command_buffer(name)
+            with commands.machine_learning_encoder(name) as encoder:
+                encoder.dispatch_network(state, ArgumentTable(state, {key: made[key] for key in bound}))
             commands.commit()
             commands.wait()
             times[-1].append(sum(taken for _, taken in commands.timings))
-            found.append(visible.array.copy())
+        by_pixel = np.where(there, np.clip(made["values"].array.reshape(there.shape), 0, 1), 1)
+        found = [made["smooth"].array.copy(), by_pixel, made["visible"].array.copy()]
         truth = view["visible"][k].astype(np.float32)
         errors[k, :, at] = [np.mean((one - truth)[there] ** 2) for one in found]
         drawn = [truth, *found] if k == 1 and at == 0 else drawn
-print(f"{'radius':>8} " + " ".join(f"{name:>12}" for name in names))
-for radius, row in zip(RADII, errors.mean(-1), strict=True):
-    print(f"{radius:8} " + " ".join(f"{-10 * np.log10(error):9.2f} dB" for error in row))
+for what, shown in (("of the error of all views", -10 * np.log10(errors.mean(-1))),
+                    ("mean over views", -10 * np.log10(errors).mean(-1))):
+    print(f"PSNR, {what}\n{'radius':>8} " + " ".join(f"{name:>12}" for name in names))
+    for radius, row in zip(RADII, shown, strict=True):
+        print(f"{radius:8} " + " ".join(f"{value:9.2f} dB" for value in row))
 print("ms a view of {}x{}: ".format(*held[0]["depth"].shape[::-1]) + ", beyond it ".join(
     f"{name} {taken:.1f}" for name, taken in zip(names, np.median(times, 0), strict=True)))
 

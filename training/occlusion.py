@@ -164,7 +164,8 @@ def export_network(network: OcclusionNet, path: Path) -> None:
         "normal": ("height", "width", 3), "depth": ("height", "width", 1), "camera": (12,),
         **dict.fromkeys(("raw", "smooth", "visible"), ("height", "width"))}
     free = [sides, sides, None, sides, sides]
-    export(_Exported(network.cpu().eval()), examples, READS, ["visible"], path, free, names)
+    rounded = copy.deepcopy(network).half().float()
+    export(_Exported(rounded.cpu().eval()), examples, READS, ["visible"], path, free, names)
 
 
 # Training -----------------------------------------------------------------------------------------------------------
