@@ -356,7 +356,7 @@ class Execution:
         try:
             # A capture that fails leaves ONNX Runtime's session broken.
             if memory.replays and all(state and state.capturable for state in states):
-                spans = memory.replay(footprint.signature(), states, self._enqueue_all)
+                spans = memory.replay(footprint.signature, states, self._enqueue_all)
             return self._enqueue_all() if spans is None and forks else spans
         except BaseException as error:
             self._fail(dispatches, CommandError(f"'{self._label}' failed: {first_line(error)}", self._label), error)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import weakref
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 from postfx.errors import CommandError, HazardError
@@ -252,6 +253,7 @@ class Footprint:
                 self.users.setdefault(tensor.allocation, (tensor, dispatch))
                 self._write(tensor)
 
+    @cached_property
     def signature(self) -> tuple[object, ...]:
         """Identifies the dispatches by their states and their tensors' addresses and shapes."""
         return tuple((id(item.state), *((tensor.start, tensor.shape) for tensor in item.reads + item.writes))
