@@ -132,10 +132,10 @@ __device__ inline float sine_of(float whole, float rest) {
     return sign * (sine * square * rest + rest);
 }
 
-// A number that the first layer reads: of a point, or its sine or cosine.
+// A number's sine or cosine that the first layer reads.
 __device__ inline float feature_of(float number, float factor) {
     const float turns = number * fabsf(factor), whole = floorf(turns + 0.5f), rest = turns - whole;
-    return factor == 0.0f ? number : sine_of(whole, PI * (factor < 0.0f ? 0.5f - fabsf(rest) : rest));
+    return sine_of(whole, PI * (factor < 0.0f ? 0.5f - fabsf(rest) : rest));
 }
 
 // GELU (Abramowitz and Stegun 7.1.26) and sine, as on the CPU, and their slopes; a ReLU is made where the sums are.
@@ -244,14 +244,14 @@ __device__ inline void each_pair(float* at, int width, Call call) {
     }
 }
 
-// What the first layer reads of some points, and 0 beside it and for points from `end` on, in a warp's rows. Numbers of
-// 16 points are read before any is used, because each alone would wait for the card's memory.
+// What the first layer reads of some points, and 0 beside it, in a warp's rows; from `end` on points are 0. Numbers of 16
+// points are read before any is used, because each alone would wait for the card's memory.
 __device__ inline void encode_points(const Network& net, const View& points, int first, int end, int count,
                                      float* rows) {
     const int width = up_to(net.size[0], 32);
     for (int column = threadIdx.x % 32; column < width; column += 32) {
         const bool is_there = column < net.size[0];
-        const float factor = net.factor[column];
+        const float factor = is_there ? net.factor[column] : 0.0f;
         const float* const from = points.at + size_t(first) * net.inputs + net.source[column];
         for (int begin = 0; begin < count; begin += TILE) {
             float numbers[TILE];
@@ -259,12 +259,14 @@ __device__ inline void encode_points(const Network& net, const View& points, int
             for (int k = 0; k < TILE; k++) {
                 numbers[k] = is_there && first + begin + k < end ? from[(begin + k) * net.inputs] : 0.0f;
             }
+#pragma unroll
+            for (int k = 0; k < TILE; k++) rows[(begin + k) * width + (column ^ turn_of(k))] = numbers[k];
+        }
+        if (factor == 0.0f) continue;
 #pragma unroll 4
-            for (int k = 0; k < TILE; k++) {
-                const int p = begin + k;
-                const bool is_known = is_there && first + p < end;
-                rows[p * width + (column ^ turn_of(p))] = is_known ? feature_of(numbers[k], factor) : 0.0f;
-            }
+        for (int p = 0; p < count; p++) {
+            float& number = rows[p * width + (column ^ turn_of(p))];
+            number = feature_of(number, factor);
         }
     }
     __syncwarp();
