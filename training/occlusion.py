@@ -71,29 +71,29 @@ def classical(device: Device, view: dict[str, np.ndarray], k: int) -> tuple[np.n
 
 def planes_of(normal: torch.Tensor, depth: torch.Tensor, camera: torch.Tensor, raw: torch.Tensor,
               smooth: torch.Tensor) -> torch.Tensor:
-    """(1, 13, h, w): the normal; depth in radii, log; pixels of the radius, log; cosine of the normal to the view ray;
-    whether there is a surface; GTAO's raw and smooth visibility; for each window how much nearer than the pixel it is
-    in the mean, in radii, squeezed into [-1, 1].
+    """Planes (n, 13, h, w) of normals (n, h, w, 3), depth (n, h, w), cameras (n, 12) and GTAO's visibility (n, h, w).
+
+    They are the normal; depth in radii, log; pixels of the radius, log; cosine of the normal to the view ray; whether
+    there is a surface; GTAO's raw and smooth visibility; for each window how much nearer than the pixel it is in the
+    mean, in radii, squeezed into [-1, 1].
 
     The last four tell what few bits of the logarithm cannot. The reciprocal of depth is averaged, because it is linear
     in the picture on a plane, so that planes have 0 however they lie.
     """
-    height, width = depth.shape[:2]
-    radius, across, down = camera[9], camera[10], camera[11]
-    z = depth[..., 0] / radius
+    height, width = depth.shape[1:]
+    radius, across, down = (camera[:, k, None, None] for k in (9, 10, 11))
+    z = depth / radius
     there = ((z > 0) & (z < float(FAR))).float()
     z = torch.where(there > 0, z, torch.full_like(z, 100.0))
-    x = ((torch.arange(width, device=z.device) + 0.5) / width * 2 - 1) * across
-    y = (1 - (torch.arange(height, device=z.device) + 0.5) / height * 2) * down
+    x = ((torch.arange(width, device=z.device)[None, None] + 0.5) / width * 2 - 1) * across
+    y = (1 - (torch.arange(height, device=z.device)[None, :, None] + 0.5) / height * 2) * down
     size = torch.log((width / (2 * across * z)).clamp(0.25, 256.0))
-    length = torch.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + 1)
-    facing = (normal[..., 2] - normal[..., 0] * x[None, :] - normal[..., 1] * y[:, None]) / length
+    facing = (normal[..., 2] - normal[..., 0] * x - normal[..., 1] * y) / torch.sqrt(x**2 + y**2 + 1)
     heights = []
     for window in WINDOWS:
-        nearer = z * (z * _box((there / z)[None, None], window)[0, 0] - 1)
+        nearer = z * (z * _box((there / z)[:, None], window)[:, 0] - 1)
         heights.append(there * nearer / (1 + nearer.abs()))
-    planes = (*normal.unbind(-1), torch.log(z), size, facing, there, raw, smooth, *heights)
-    return torch.stack(planes)[None]
+    return torch.stack([*normal.unbind(-1), torch.log(z), size, facing, there, raw, smooth, *heights], 1)
 
 
 def _box(x: torch.Tensor, size: int) -> torch.Tensor:
@@ -151,7 +151,7 @@ class _Exported(nn.Module):
 
     def forward(self, normal: torch.Tensor, depth: torch.Tensor, camera: torch.Tensor, raw: torch.Tensor,
                 smooth: torch.Tensor) -> torch.Tensor:
-        planes = planes_of(normal, depth, camera, raw, smooth)
+        planes = planes_of(normal[None], depth[None, ..., 0], camera[None], raw[None], smooth[None])
         found = self.network(planes)[0, 0].clamp(0.0, 1.0)
         return torch.where(planes[0, 6] > 0, found, torch.ones_like(found))
 
@@ -172,24 +172,41 @@ def export_network(network: OcclusionNet, path: Path) -> None:
 # Training -----------------------------------------------------------------------------------------------------------
 
 class Views:
-    """All views of a folder at all radii on a device: planes (n, 13, h, w) and truth (n, 1, h, w) in half precision."""
+    """All views of a folder at all radii on a device, each pair a sample; what is read of them is made when asked for.
+
+    Attributes:
+        samples: view and radius (n, 2) of each.
+        held, learnt: indices of samples to measure by and to learn from.
+    """
 
     def __init__(self, folder: Path, place: torch.device) -> None:
-        device, planes, truth, held = Device("cpu", threads=1), [], [], []
-        for path in sorted(folder.glob("*.npz")):
-            view = dict(np.load(path))
-            for k in range(len(view["radii"])):
-                given = (view["normal"].astype(np.float32), view["depth"][..., None].astype(np.float32),
-                         camera_of(view, k), *classical(device, view, k))
-                planes.append(planes_of(*map(torch.from_numpy, given)).half())
-                truth.append(torch.from_numpy(view["visible"][k].astype(np.float16))[None, None])
-                held.append(zlib.crc32(path.name.split(".")[0].encode()) % HELD == 0)
-        self.planes, self.truth = torch.cat(planes).to(place), torch.cat(truth).to(place)
+        device, held = Device("cpu"), []
+        parts: dict[str, list[torch.Tensor]] = {key: [] for key in (*READS, "visible")}
+        self.samples = np.empty((0, 2), np.int64)
+        for index, path in enumerate(sorted(folder.glob("*.npz"))):
+            with np.load(path) as file:
+                view = dict(file)
+            radii = range(len(view["radii"]))
+            found = [classical(device, view, k) for k in radii]
+            arrays = (view["normal"], view["depth"], np.stack([camera_of(view, k) for k in radii]),
+                      *(np.stack(some).astype(np.float16) for some in zip(*found, strict=True)), view["visible"])
+            for key, array in zip(parts, arrays, strict=True):
+                parts[key].append(torch.from_numpy(array))
+            self.samples = np.concatenate([self.samples, [(index, k) for k in radii]])
+            held += [zlib.crc32(path.name.split(".")[0].encode()) % HELD == 0] * len(radii)
+        self._parts = {key: torch.stack(some).to(place) for key, some in parts.items()}
         self.held, self.learnt = (np.flatnonzero(np.equal(held, value)) for value in (True, False))
 
+    @property
+    def device(self) -> torch.device:
+        return self._parts["depth"].device
+
     def batch(self, chosen: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        at = torch.from_numpy(chosen).to(self.planes.device)
-        return self.planes[at].float(), self.truth[at].float()
+        """Planes (n, 13, h, w) and truth (n, 1, h, w)."""
+        at, k = torch.from_numpy(self.samples[chosen].T).to(self.device)
+        normal, depth = (self._parts[key][at].float() for key in ("normal", "depth"))
+        camera, raw, smooth, truth = (self._parts[key][at, k].float() for key in ("camera", "raw", "smooth", "visible"))
+        return planes_of(normal, depth, camera, raw, smooth), truth[:, None]
 
 
 def mirrored(planes: torch.Tensor, truth: torch.Tensor, how: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -222,7 +239,7 @@ def measure(network: OcclusionNet, views: Views) -> str:
 def train(views: Views, steps: int, width: int = 32, batch: int = 32, seed: int = 0) -> OcclusionNet:
     """A network that has learnt so many steps, with the mean of its last weights."""
     torch.manual_seed(seed)
-    random, place = np.random.default_rng(seed), views.planes.device
+    random, place = np.random.default_rng(seed), views.device
     network = OcclusionNet(width).to(place)
     mean = copy.deepcopy(network)
     optimizer = torch.optim.AdamW(network.parameters(), 1e-3, weight_decay=1e-3)
@@ -254,7 +271,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=6000)
     args = parser.parse_args()
     views = Views(args.views, torch.device("cuda" if torch.cuda.is_available() else "cpu"))
-    print(f"{len(views.learnt)} views and radii to learn from, {len(views.held)} held out")
+    print(f"{len(views.learnt)} views at a radius to learn from, {len(views.held)} held out")
     export_network(train(views, args.steps), args.models / "occlusion.onnx")
 
 

@@ -44,13 +44,19 @@ def given(device: Device, view: dict[str, np.ndarray], k: int) -> list[np.ndarra
             *classical(device, view, k)]
 
 
+def planes(arrays: list[np.ndarray]) -> torch.Tensor:
+    """What the network reads of one view."""
+    normal, depth, *others = (torch.from_numpy(array)[None] for array in arrays)
+    return planes_of(normal, depth[..., 0], *others)
+
+
 def test_the_onnx_form_reads_what_the_kernels_make(tmp_path: Path) -> None:
     torch.manual_seed(0)
     device, network, view = Device("cpu", threads=1), OcclusionNet(8), make_view(0)
     torch.nn.init.normal_(network.last.weight, std=0.05)
     arrays = given(device, view, 1)
     with torch.no_grad():
-        wanted = network(planes_of(*map(torch.from_numpy, arrays)))[0, 0].clamp(0, 1).numpy()
+        wanted = network(planes(arrays))[0, 0].clamp(0, 1).numpy()
     export_network(network, tmp_path / "occlusion.onnx")
     state = device.pipeline_state(Library(tmp_path), "occlusion", {"height": 32, "width": 48})
     bound = {name: device.wrap(name, np.ascontiguousarray(array)) for name, array in zip(READS, arrays, strict=True)}
@@ -68,12 +74,12 @@ def test_the_onnx_form_reads_what_the_kernels_make(tmp_path: Path) -> None:
 def test_mirrored_planes_are_those_of_the_mirrored_view() -> None:
     device, view = Device("cpu", threads=1), make_view(1)
     arrays = given(device, view, 2)
-    planes, truth = planes_of(*map(torch.from_numpy, arrays)), torch.rand(1, 1, 32, 48)
+    made, truth = planes(arrays), torch.rand(1, 1, 32, 48)
     for how, axis, part in ((1, 1, 0), (2, 0, 1)):
         other = [np.ascontiguousarray(array if array.ndim == 1 else np.flip(array, axis)) for array in arrays]
         other[0][..., part] *= -1
-        found, turned = mirrored(planes, truth, how)
-        torch.testing.assert_close(found, planes_of(*map(torch.from_numpy, other)))
+        found, turned = mirrored(made, truth, how)
+        torch.testing.assert_close(found, planes(other))
         torch.testing.assert_close(turned, truth.flip(axis - 2))
 
 
@@ -81,8 +87,8 @@ def test_it_learns_what_the_normal_tells(tmp_path: Path) -> None:
     for seed in range(4):
         np.savez(tmp_path / f"view-{seed}.0.npz", **make_view(seed))
     views = Views(tmp_path, torch.device("cpu"))
-    planes, truth = views.batch(np.arange(len(views.planes)))
+    made, truth = views.batch(np.arange(len(views.samples)))
     network = train(views, steps=60, width=8, batch=4)
     with torch.no_grad():
-        after = squared_error(network(planes), truth, planes)
-    assert after.mean() < 0.3 * squared_error(planes[:, 8:9], truth, planes).mean()
+        after = squared_error(network(made), truth, made)
+    assert after.mean() < 0.3 * squared_error(made[:, 8:9], truth, made).mean()
