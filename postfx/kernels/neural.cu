@@ -55,21 +55,24 @@ __device__ inline int stride_of(int widest) {
 
 __device__ inline void read_network(const View& view, Network& net) {
     const float* const at = view.at;
-    const int inputs = int(at[INPUTS]), encoded = max(int(at[ENCODED]), 1), layers = int(at[LAYERS]);
+    const int inputs = int(at[INPUTS]), encoded = max(int(at[ENCODED]), 1);
     if (threadIdx.x == 0) {
-        net.layers = layers, net.inputs = inputs;
-        net.activation = int(at[ACTIVATION]), net.widest = net.rows[0] = net.space[0] = net.count[0] = 0;
+        int size[MOST_LAYERS + 1];  // sizes beyond the last layer are 0
+        int widest = 0, rows = 0, space = 0, count = 0;
+#pragma unroll
+        for (int layer = 0; layer <= MOST_LAYERS; layer++) size[layer] = int(at[SIZES + layer]);
+        net.layers = int(at[LAYERS]), net.inputs = inputs, net.activation = int(at[ACTIVATION]);
+#pragma unroll
+        for (int layer = 0; layer <= MOST_LAYERS; layer++) widest = max(widest, size[layer]);
+#pragma unroll
         for (int layer = 0; layer <= MOST_LAYERS; layer++) {
-            net.size[layer] = layer <= layers ? int(at[SIZES + layer]) : 0;
-            net.widest = max(net.widest, net.size[layer]);
-            net.rows[layer + 1] = net.rows[layer] + up_to(net.size[layer], 32);
+            net.size[layer] = size[layer], net.rows[layer] = rows, net.space[layer] = space, net.count[layer] = count;
+            rows += up_to(size[layer], 32);
+            const int makes = layer < MOST_LAYERS ? size[layer + 1] : 0;
+            space += makes ? (height_of(makes) + 1) * stride_of(widest) : 0;
+            count += (size[layer] + 1) * makes;
         }
-        const int stride = stride_of(net.widest);
-        for (int layer = 1; layer <= MOST_LAYERS; layer++) {
-            const int makes = net.size[layer];
-            net.space[layer] = net.space[layer - 1] + (makes ? (height_of(makes) + 1) * stride : 0);
-            net.count[layer] = net.count[layer - 1] + (net.size[layer - 1] + 1) * makes;
-        }
+        net.rows[MOST_LAYERS + 1] = rows, net.widest = widest;
     }
     for (int column = threadIdx.x; column < MOST_WIDTH; column += THREADS) {
         const int pair = max(column - inputs, 0) / 2, band = pair / encoded;
