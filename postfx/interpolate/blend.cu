@@ -1,35 +1,5 @@
 // The picture that the paths make, as blend.py makes it. Pictures are held as (h, w, 4), cells are (rows, columns, 8).
 
-__device__ inline bool is_line(const View& cells, int y, int x, int j, int i, int c) {
-    const int rows = cells.size[0], columns = cells.size[1];
-    const float* const at = cells.at + c;
-    const float here = at[8 * (y * columns + x)], next = at[8 * ((y + j) * columns + x + i)];
-    const float step = next - here, last = step - here + at[8 * (max(y - j, 0) * columns + max(x - i, 0))];
-    const float coming = at[8 * (min(y + 2 * j, rows - 1) * columns + min(x + 2 * i, columns - 1))] - next - step;
-    return fminf(fabsf(last), fabsf(coming)) <= SMOOTH;
-}
-
-// Mark cells that follow one path with those to the right and below by 1, and by 2 where it changes evenly.
-extern "C" __global__ void interpolate_join(View cells) {
-    const int rows = cells.size[0], columns = cells.size[1];
-    PIXEL(columns, rows);
-    const int j = min(y + 1, rows - 1) - y, i = min(x + 1, columns - 1) - x, cell = y * columns + x;
-    const float* const at = cells.at + 8 * size_t(cell);
-    const float *const right = at + 8 * i, *const low = at + 8 * size_t(j * columns), *const beyond = low + 8 * i;
-    bool is_one = true, is_even = true;
-    for (int c = 0; c < 6; c++) {
-        const float apart = fmaxf(fmaxf(fabsf(right[c] - at[c]), fabsf(low[c] - at[c])), fabsf(beyond[c] - at[c]));
-        is_one = is_one && apart <= (c < 4 ? JOINED : 0.0f);
-        is_even = is_even && apart <= (c < 4 ? TURNING : 0.0f)
-            && fabsf(at[c] - right[c] - low[c] + beyond[c]) <= SMOOTH;
-    }
-    if (!is_one && is_even)
-        for (int c = 0; c < 4 && is_even; c++)
-            is_even = is_line(cells, y, x, 0, i, c) && is_line(cells, y, x, j, 0, c)
-                && is_line(cells, y + j, x, 0, i, c) && is_line(cells, y, x + i, j, 0, c);
-    cells.at[8 * size_t(cell) + 7] = is_one ? 1.0f : is_even ? 2.0f : 0.0f;
-}
-
 // The cells before and after a pixel's middle, and how far it is from the first to the second one.
 struct Between {
     int first, second;
@@ -138,13 +108,10 @@ __device__ inline Surface surface_of(const View& near, const View& far, const Pa
     return {is_one ? 0.5f * (one + other) : 0.0f, is_one};
 }
 
-// Shares of four cells in a pixel, by its place between them; of cells that follow one path one has it all, and a path
-// whose surface lies behind one that both frames show there loses most of its own.
-__device__ inline void share_cells(const View& cells, const View& near, const View& far, const int (&places)[4],
-                                   float across, float down, int y, int x, float (&shares)[4]) {
+// Shares of four cells in a pixel, by its place between them; of cells that follow one path one has it all.
+__device__ inline void share_cells(const View& cells, const int (&places)[4], float across, float down,
+                                   float (&shares)[4]) {
     Path paths[4];
-    Surface surfaces[4];
-    float nearest = LARGEST_FLOAT;
 #pragma unroll
     for (int k = 0; k < 4; k++) {
         shares[k] = (k / 2 ? down : 1.0f - down) * (k % 2 ? across : 1.0f - across);
@@ -163,14 +130,6 @@ __device__ inline void share_cells(const View& cells, const View& near, const Vi
             is_given = true;
         }
     }
-#pragma unroll
-    for (int k = 0; k < 4; k++) {
-        surfaces[k] = surface_of(near, far, paths[k], y, x);
-        if (shares[k] > 0.0f && surfaces[k].is_shown) nearest = fminf(nearest, surfaces[k].depth);
-    }
-#pragma unroll
-    for (int k = 0; k < 4; k++)
-        if (surfaces[k].depth > (1.0f + NEARER) * nearest) shares[k] *= HIDDEN;
 }
 
 // What a path shows at a pixel in both frames, by their weights.
@@ -204,51 +163,94 @@ struct Made {
     float led;
 };
 
-// near, far: depth (h, w, 1) of both frames. scale: pixels of a cell. dim: light that counts as dark.
-__device__ inline Made made_at(const View& cells, const View& before, const View& after, const View& near,
-                               const View& far, float t, float scale, float dim, int y, int x) {
+// The four cells around a pixel, and how far it is from the first ones to the last.
+struct Around {
+    int places[4];
+    float down, across;
+};
+
+__device__ inline Around around_of(const View& cells, float scale, int y, int x) {
     const int rows = cells.size[0], columns = cells.size[1];
     const float size = 1.0f / scale;
     const Between down = between_cells(y, size, rows), across = between_cells(x, size, columns);
-    const int places[4] = {down.first * columns + across.first, down.first * columns + across.second,
-                           down.second * columns + across.first, down.second * columns + across.second};
-    if (cells.at[8 * size_t(places[0]) + 7] > 0.0f) {
-        const float p = (1.0f - down.share) * (1.0f - across.share), q = (1.0f - down.share) * across.share;
-        const float r = down.share * (1.0f - across.share), s = down.share * across.share;
-        const Led a = cell_of(cells, places[0]), b = cell_of(cells, places[1]), c = cell_of(cells, places[2]);
-        const Led d = cell_of(cells, places[3]);
-        const float sharpest = fmaxf(fmaxf(a.sharp, b.sharp), fmaxf(c.sharp, d.sharp));
-        // those whose first and last differ are not joined
-        const Led one = {{p * a.path.ax + q * b.path.ax + r * c.path.ax + s * d.path.ax,
-                          p * a.path.ay + q * b.path.ay + r * c.path.ay + s * d.path.ay,
-                          p * a.path.bx + q * b.path.bx + r * c.path.bx + s * d.path.bx,
-                          p * a.path.by + q * b.path.by + r * c.path.by + s * d.path.by, a.path.first, a.path.last},
-                         sharpest > CRISP ? sharpest : p * a.sharp + q * b.sharp + r * c.sharp + s * d.sharp};
-        const Shown found = shown_by(one, before, after, y, x, t);
-        return {settled(found, dim), one.path, found.weights.x};
-    }
-    Made made = {};
-    float shares[4], whole = 0.0f, best = 0.0f;
-    share_cells(cells, near, far, places, across.share, down.share, y, x, shares);
+    return {{down.first * columns + across.first, down.first * columns + across.second,
+             down.second * columns + across.first, down.second * columns + across.second}, down.share, across.share};
+}
+
+// What frames are mixed of. near, far: depth (h, w, 1) of both. dim: light that counts as dark.
+struct Mixed {
+    View cells, before, after, near, far;
+    float t, dim;
+};
+
+// A pixel among cells that follow one path, interpolated between them.
+__device__ inline Made joined_pixel(const Mixed& of, const Around& around, int y, int x) {
+    const float down = around.down, across = around.across;
+    const float shares[4] = {(1.0f - down) * (1.0f - across), (1.0f - down) * across, down * (1.0f - across),
+                             down * across};
+    Led one = {{0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
+    float sharpest = 0.0f;
+#pragma unroll
     for (int k = 0; k < 4; k++) {
-        if (shares[k] == 0.0f) continue;
-        const Led one = cell_of(cells, places[k]);
-        const Shown found = shown_by(one, before, after, y, x, t);
-        const Colour &a = found.before, &b = found.after, mean = settled(found, dim);
+        const Four path = four(of.cells, 2 * size_t(around.places[k]));
+        const Four rest = four(of.cells, 2 * size_t(around.places[k]) + 1);
+        one.path.ax += shares[k] * path.x;
+        one.path.ay += shares[k] * path.y;
+        one.path.bx += shares[k] * path.z;
+        one.path.by += shares[k] * path.w;
+        if (k == 0) one.path.first = rest.x, one.path.last = rest.y;  // where they differ, cells are not joined
+        one.sharp += shares[k] * rest.z;
+        sharpest = fmaxf(sharpest, rest.z);
+    }
+    if (sharpest > CRISP) one.sharp = sharpest;
+    const Shown found = shown_by(one, of.before, of.after, y, x, of.t);
+    return {settled(found, of.dim), one.path, found.weights.x};
+}
+
+// Least number of four lanes that work on one pixel; sum and largest one.
+__device__ inline float of_four(float value, int step) {
+    return __shfl_xor_sync(0xfu << (threadIdx.x & 28), value, step);
+}
+
+__device__ inline float sum_of_four(float value) {
+    value += of_four(value, 1);
+    return value + of_four(value, 2);
+}
+
+__device__ inline float largest_of_four(float value) {
+    value = fmaxf(value, of_four(value, 1));
+    return fmaxf(value, of_four(value, 2));
+}
+
+// A pixel of several paths, made by four lanes, each of which has one of the paths; in all of them, but for the path,
+// which is that of the lane `best`. A path whose surface lies behind one that both frames show there loses most of its
+// share.
+__device__ inline Made mixed_pixel(const Mixed& of, const Around& around, int y, int x, int& best) {
+    const int lane = threadIdx.x % 4;
+    float shares[4];
+    share_cells(of.cells, around.places, around.across, around.down, shares);
+    float share = lane == 0 ? shares[0] : lane == 1 ? shares[1] : lane == 2 ? shares[2] : shares[3];
+    const Led one = cell_of(of.cells, lane == 0 ? around.places[0] : lane == 1 ? around.places[1]
+                            : lane == 2 ? around.places[2] : around.places[3]);
+    const Surface surface = surface_of(of.near, of.far, one.path, y, x);
+    const float nearest = -largest_of_four(share > 0.0f && surface.is_shown ? -surface.depth : -LARGEST_FLOAT);
+    if (surface.depth > (1.0f + NEARER) * nearest) share *= HIDDEN;
+    Colour mean = {0.0f, 0.0f, 0.0f};
+    float led = 0.0f;
+    if (share > 0.0f) {
+        const Shown found = shown_by(one, of.before, of.after, y, x, of.t);
+        const Colour &a = found.before, &b = found.after;
         const float light = fabsf(a.r) + fabsf(a.g) + fabsf(a.b) + fabsf(b.r) + fabsf(b.g) + fabsf(b.b);
         const float apart = found.weights.x == 0.0f || found.weights.y == 0.0f ? UNSURE
             : (fabsf(a.r - b.r) + fabsf(a.g - b.g) + fabsf(a.b - b.b)) / (light + TINY);
-        const float share = shares[k] / (ALIKE + apart * apart);
-        made.colour = {made.colour.r + share * mean.r, made.colour.g + share * mean.g, made.colour.b + share * mean.b};
-        whole += share;
-        if (share > best) {
-            best = share;
-            made.path = one.path;
-            made.led = found.weights.x;
-        }
+        share /= ALIKE + apart * apart;
+        mean = settled(found, of.dim);
+        led = found.weights.x;
     }
-    made.colour = {made.colour.r / whole, made.colour.g / whole, made.colour.b / whole};
-    return made;
+    const float whole = sum_of_four(share), largest = largest_of_four(share);
+    best = int(-largest_of_four(share == largest ? -float(lane) : -4.0f));  // the first of equal ones
+    return {{sum_of_four(share * mean.r) / whole, sum_of_four(share * mean.g) / whole,
+             sum_of_four(share * mean.b) / whole}, one.path, led};
 }
 
 // The pixel whose data counts at a pixel: the nearest one in the frame that counts more, and whether that is the first.
@@ -263,43 +265,68 @@ __device__ inline Taken taken_at(const Four& path, float led, int h, int w, int 
     return {size_t(at.j) * w + at.i, is_first};
 }
 
-// The picture (h, w, 3), its motion (h, w, 2), shares[0] and shares[1] of what leads to both frames, and depth
-// (h, w, 1). near, far: depth of both frames.
-__device__ inline Made put_pixel(const View& cells, const View& before, const View& after, const View& near,
-                                 const View& far, const View& time, const View& level, const View& scale,
-                                 const View& shares, const View& motion, const View& depth, const View& colour, int y,
+// Where planes of the picture go: colour (h, w, 3), motion (h, w, 2), depth (h, w, 1), and, for planes that follow, the
+// path that counts most (h, w, 4), and the weight of the frame before, `led` (h, w, 1).
+struct Results {
+    View motion, depth, paths, led, colour;
+};
+
+template <bool ALL>
+__device__ inline void put_pixel(const Mixed& of, const Made& made, const View& shares, const Results& to, int y,
                                  int x) {
-    const int h = colour.size[0], w = colour.size[1];
-    const Made made = made_at(cells, before, after, near, far, time.at[0], scale.at[0], DARK * level.at[0], y, x);
+    const int h = to.colour.size[0], w = to.colour.size[1];
     const Path& path = made.path;
+    const Four ends = {path.ax, path.ay, path.bx, path.by};
     const size_t pixel = size_t(y) * w + x;
-    const Taken taken = taken_at({path.ax, path.ay, path.bx, path.by}, made.led, h, w, y, x);
-    float* const to = colour.at + 3 * pixel;
-    to[0] = made.colour.r, to[1] = made.colour.g, to[2] = made.colour.b;
+    const Taken taken = taken_at(ends, made.led, h, w, y, x);
+    float* const colour = to.colour.at + 3 * pixel;
+    colour[0] = made.colour.r, colour[1] = made.colour.g, colour[2] = made.colour.b;
     const float by_first = shares.at[0], by_last = shares.at[1];
-    pair(motion, pixel) = {by_first * path.ax + by_last * path.bx, by_first * path.ay + by_last * path.by};
-    depth.at[pixel] = (taken.is_first ? near : far).at[taken.pixel];
-    return made;
+    pair(to.motion, pixel) = {by_first * path.ax + by_last * path.bx, by_first * path.ay + by_last * path.by};
+    to.depth.at[pixel] = (taken.is_first ? of.near : of.far).at[taken.pixel];
+    if (!ALL) return;
+    four(to.paths, pixel) = ends;
+    to.led.at[pixel] = made.led;
 }
 
-extern "C" __global__ void interpolate_compose(View cells, View before, View after, View near, View far, View time,
-                                               View level, View scale, View shares, View motion, View depth,
-                                               View colour) {
-    PIXEL(colour.size[1], colour.size[0]);
-    put_pixel(cells, before, after, near, far, time, level, scale, shares, motion, depth, colour, y, x);
+// The picture; its motion is shares[0] and shares[1] of what leads to both frames. A block makes 32x8 pixels: those of
+// one path first, then the others, which it lists.
+template <bool ALL>
+__device__ inline void compose(const Mixed& of, const View& scale, const View& shares, const Results& to) {
+    __shared__ int listed[256], count;
+    const int h = to.colour.size[0], w = to.colour.size[1];
+    const int x = 32 * blockIdx.x + threadIdx.x % 32, y = 8 * blockIdx.y + threadIdx.x / 32;
+    if (threadIdx.x == 0) count = 0;
+    __syncthreads();
+    if (y < h && x < w) {
+        const Around around = around_of(of.cells, scale.at[0], y, x);
+        if (of.cells.at[8 * size_t(around.places[0]) + 7] > 0.0f)
+            put_pixel<ALL>(of, joined_pixel(of, around, y, x), shares, to, y, x);
+        else
+            listed[atomicAdd(&count, 1)] = y * w + x;
+    }
+    __syncthreads();
+    for (int k = threadIdx.x / 4; k < count; k += 64) {
+        const int j = listed[k] / w, i = listed[k] - j * w;
+        int best;
+        const Made made = mixed_pixel(of, around_of(of.cells, scale.at[0], j, i), j, i, best);
+        if (int(threadIdx.x % 4) == best) put_pixel<ALL>(of, made, shares, to, j, i);
+    }
 }
 
-// The same where other planes follow: the path that counts most (h, w, 4), and the weight of the frame before, `led`
-// (h, w, 1).
-extern "C" __global__ void interpolate_compose_all(View cells, View before, View after, View near, View far, View time,
-                                                   View level, View scale, View shares, View motion, View depth,
-                                                   View paths, View led, View colour) {
-    PIXEL(colour.size[1], colour.size[0]);
-    const Made made = put_pixel(cells, before, after, near, far, time, level, scale, shares, motion, depth, colour, y,
-                                x);
-    const size_t pixel = size_t(y) * colour.size[1] + x;
-    four(paths, pixel) = {made.path.ax, made.path.ay, made.path.bx, made.path.by};
-    led.at[pixel] = made.led;
+extern "C" __global__ void __launch_bounds__(256, 4) interpolate_compose(
+    View cells, View before, View after, View near, View far, View time, View level, View scale, View shares,
+    View motion, View depth, View colour) {
+    compose<false>({cells, before, after, near, far, time.at[0], DARK * level.at[0]}, scale, shares,
+                   {motion, depth, {}, {}, colour});
+}
+
+// The same where other planes follow.
+extern "C" __global__ void __launch_bounds__(256, 4) interpolate_compose_all(
+    View cells, View before, View after, View near, View far, View time, View level, View scale, View shares,
+    View motion, View depth, View paths, View led, View colour) {
+    compose<true>({cells, before, after, near, far, time.at[0], DARK * level.at[0]}, scale, shares,
+                  {motion, depth, paths, led, colour});
 }
 
 // Data (h, w, m) that is taken from the nearest pixel in the frame that counts more.

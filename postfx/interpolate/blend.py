@@ -16,16 +16,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from postfx.interpolate.choose import OTHER as OTHER
-from postfx.interpolate.choose import differ, is_within
+from postfx.interpolate.choose import JOINED, SMOOTH, TURNING, differ, is_within
 from postfx.kernels.numeric import Real, compiled, inline, summed, uncounted
 from postfx.kernels.vectors import in_lanes
 
 ZERO, ONE = np.float32(0), np.float32(1)
 NOTHING = (ZERO, ZERO, ZERO)
-JOINED = np.float32(0.6)
-"""Pixels by which paths of cells beside each other may differ for there to be others between them."""
-TURNING, SMOOTH = np.float32(3), np.float32(0.25)
-"""The same where paths change evenly from cell to cell, and how much that change itself may change."""
 LEAST = np.float32(1e-4)
 """Weight of a frame that does not show a point, so that something is there where none does."""
 LITTLE = np.float32(1e-3)

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from postfx.interpolate.paths import ALIKE, FAR
+from postfx.interpolate.paths import ALIKE, FAR, SURE
 from postfx.kernels.numeric import Real, compiled, inline, uncounted
 from postfx.kernels.vectors import in_lanes
 
@@ -50,8 +50,10 @@ MOSTLY = np.float32(0.4)
 """Share of detail from which what stands still is left as it is."""
 APART = np.float32(0.15)
 """Misfit from which what stands still must be something else."""
-SURE = np.float32(0.7)
-"""Share of the paths that arrive at a cell that must be seen by the other frame: a sample of it has cells around."""
+JOINED = np.float32(0.6)
+"""Pixels by which paths of cells beside each other may differ for there to be others between them."""
+TURNING, SMOOTH = np.float32(3), np.float32(0.25)
+"""The same where paths change evenly from cell to cell, and how much that change itself may change."""
 RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
 LUMINANCE = np.array([RED, GREEN, BLUE])
 """Shares of channels in how bright a colour is (BT.709)."""

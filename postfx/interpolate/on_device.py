@@ -50,7 +50,7 @@ _SHAPES: dict[str, tuple[int | str, ...]] = {
     "pixel_depth": (*_IMAGE, 1), "paths": (*_IMAGE, 4), "led": (*_IMAGE, 1), "plane": (*_IMAGE, "channels"),
     "toned": ("tall", "wide", 1), "misfits": ("few_rows", "few_columns", 1), "sums": (PARTS,), "number": (1,),
     "two": (2,), "facts": (FACTS,), "motion": (*_CELLS, 2), "depth": (*_CELLS, 1), "ends": (*_CELLS, 4),
-    "cells": (*_CELLS, 8)}
+    "cells": (*_CELLS, 8), "nearest": ("both_rows", "columns", 1), "arrived": ("both_rows", "columns", 8)}
 """Shapes by kind."""
 
 
@@ -62,14 +62,14 @@ def _kernel(name: str, reads: str, writes: str, blocks: Blocks | None = None) ->
                   {name: _SHAPES[kind] for name, kind in pairs.items()}, blocks=blocks)
 
 
-_SUMMING = Blocks(1, 256)
+_SUMMING, _TILES = Blocks(1, 256), Blocks(8, 256, columns=32)
 HOLD = _kernel("hold", "picture:picture", "held:held")
-GATHER = _kernel("gather", "motion:pixel_motion depth:pixel_depth scale:number", "cells:motion cell_depth:depth")
+GATHER = _kernel("gather", "motion:pixel_motion depth:pixel_depth scale:number",
+                 "cells:motion keys:motion cell_depth:depth")
 LIGHTS = _kernel("lights", "before:held after:held", "sums:sums", _SUMMING)
 LOGS = _kernel("logs", "before:held after:held lights:sums", "sums:sums", _SUMMING)
 LEVEL = _kernel("level", "sums:sums", "level:number")
 TONE = _kernel("tone", "before:held after:held level:number", "toned_before:toned toned_after:toned")
-FORGET = _kernel("forget", "", "keys:motion")
 ARRIVE = _kernel("arrive", "motion:motion depth:depth keys:motion", "keys:motion")
 INVERT = _kernel("invert", "keys:motion motion:motion depth:depth", "inverse:motion")
 REFINE = _kernel("refine", "inverse:motion motion:motion depth:depth", "ahead:motion")
@@ -77,24 +77,26 @@ LEAD_BACK = _kernel("lead_back", "motion:motion ahead:motion depth_before:depth 
                     "facts:facts", "ends:ends bend:motion seen:depth")
 LEAD_AHEAD = _kernel("lead_ahead", "ahead:motion motion:motion depth_before:depth depth_after:depth came:motion "
                      "facts:facts bend_after:motion", "ends:ends bend:motion seen:depth")
-MISFITS = _kernel("misfits", "before:toned after:toned ends:ends seen:depth scale:number", "found:misfits")
-NOISE = _kernel("noise", "found:misfits", "noise:number", _SUMMING)
-CLEAR = _kernel("clear", "", "nearest_before:depth nearest_after:depth sums_before:cells sums_after:cells")
-NEAREST = _kernel("nearest", "ends:ends bend:motion depth:depth time:number nearest:depth", "nearest:depth")
-MEANS = _kernel("means", "ends:ends bend:motion depth:depth seen:depth time:number nearest:depth sums:cells",
-                "sums:cells")
-MERGE = _kernel("merge", "nearest_before:depth sums_before:cells nearest_after:depth sums_after:cells facts:facts "
-                "scale:number", "first:cells first_depth:depth last:cells last_depth:depth own:cells")
-FILL = _kernel("fill", "first_depth:depth last_depth:depth own:cells", "own:cells")
-CHOOSE = _kernel("choose", "before:toned after:toned own:cells first:cells last:cells first_depth:depth "
-                 "last_depth:depth noise:number scale:number", "cells:cells")
-JOIN = _kernel("join", "cells:cells", "cells:cells")
-DETAIL = _kernel("detail", "before:toned after:toned noise:number scale:number cells:cells", "cells:cells")
+MISFITS = _kernel("misfits", "before:toned after:toned ends:ends seen:depth scale:number", "found:misfits",
+                  Blocks(1, 256, columns=32))
+NOISE = _kernel("noise", "found:misfits", "noise:number", Blocks(1, 1024))
+CLEAR = _kernel("clear", "", "nearest:nearest sums:arrived")
+NEAREST = _kernel("nearest", "ends_before:ends bend_before:motion depth_before:depth ends_after:ends bend_after:motion "
+                  "depth_after:depth time:number nearest:nearest", "nearest:nearest")
+MEANS = _kernel("means", "ends_before:ends bend_before:motion depth_before:depth seen_before:depth ends_after:ends "
+                "bend_after:motion depth_after:depth seen_after:depth time:number nearest:nearest sums:arrived",
+                "sums:arrived", Blocks(32, 256, columns=32))
+MERGE = _kernel("merge", "nearest:nearest sums:arrived facts:facts scale:number",
+                "sides:cells depths:motion own:cells")
+FILL = _kernel("fill", "depths:motion own:cells", "own:cells")
+CHOOSE = _kernel("choose", "before:toned after:toned own:cells sides:cells depths:motion noise:number scale:number",
+                 "cells:cells", _TILES)
+DETAIL = _kernel("detail", "before:toned after:toned noise:number scale:number cells:cells", "cells:cells", _TILES)
 _COMPOSED = ("cells:cells before:held after:held near:pixel_depth far:pixel_depth time:number level:number "
              "scale:number shares:two")
-COMPOSE = _kernel("compose", _COMPOSED, "motion:pixel_motion depth:pixel_depth colour:colour")
+COMPOSE = _kernel("compose", _COMPOSED, "motion:pixel_motion depth:pixel_depth colour:colour", _TILES)
 COMPOSE_ALL = _kernel("compose_all", _COMPOSED, "motion:pixel_motion depth:pixel_depth paths:paths led:led "
-                      "colour:colour")
+                      "colour:colour", _TILES)
 TAKE = _kernel("take", "before:plane after:plane paths:paths led:led", "data:plane")
 
 Step = tuple[Kernel, dict[str, str]]
@@ -108,10 +110,10 @@ def _step(kernel: Kernel, buffers: str) -> Step:
 
 PUSH: tuple[tuple[Step, ...], ...] = ((
     _step(HOLD, "after.colour after.held"),
-    _step(GATHER, "after.motion after.depth scale after.cells after.cell_depth")), )
+    _step(GATHER, "after.motion after.depth scale after.cells keys after.cell_depth")), )
 PAIR: tuple[tuple[Step, ...], ...] = (
-    (_step(LIGHTS, "before.held after.held lights"), _step(FORGET, "keys")),
-    (_step(LOGS, "before.held after.held lights logs"), _step(ARRIVE, "after.cells after.cell_depth keys")),
+    (_step(LIGHTS, "before.held after.held lights"), _step(ARRIVE, "after.cells after.cell_depth keys")),
+    (_step(LOGS, "before.held after.held lights logs"),),
     (_step(LEVEL, "logs level"), _step(INVERT, "keys after.cells before.cell_depth inverse")),
     (_step(TONE, "before.held after.held level toned_before toned_after"),
      _step(REFINE, "inverse after.cells before.cell_depth ahead")),
@@ -122,17 +124,14 @@ PAIR: tuple[tuple[Step, ...], ...] = (
      _step(MISFITS, "toned_before toned_after ends_after seen_after scale misfits")),
     (_step(NOISE, "misfits noise"),))
 _COMPOSED_OF = "chosen before.held after.held before.depth after.depth time level scale shares new.motion new.depth"
+_SIDES = ("ends_before bend_before before.cell_depth", "ends_after bend_after after.cell_depth")
 FRAME: tuple[tuple[Step, ...], ...] = (
-    (_step(CLEAR, "nearest_before nearest_after sums_before sums_after"),),
-    tuple(_step(NEAREST, f"ends_{side} bend_{side} {side}.cell_depth time nearest_{side}")
-          for side in ("before", "after")),
-    tuple(_step(MEANS, f"ends_{side} bend_{side} {side}.cell_depth seen_{side} time nearest_{side} sums_{side}")
-          for side in ("before", "after")),
-    (_step(MERGE, "nearest_before sums_before nearest_after sums_after facts_after scale side_before depth_before "
-           "side_after depth_after own"),),
-    (_step(FILL, "depth_before depth_after own"),),
-    (_step(CHOOSE, "toned_before toned_after own side_before side_after depth_before depth_after noise scale chosen"),),
-    (_step(JOIN, "chosen"),),
+    (_step(CLEAR, "nearest arrived"),),
+    (_step(NEAREST, f"{_SIDES[0]} {_SIDES[1]} time nearest"),),
+    (_step(MEANS, f"{_SIDES[0]} seen_before {_SIDES[1]} seen_after time nearest arrived"),),
+    (_step(MERGE, "nearest arrived facts_after scale sides depths own"),),
+    (_step(FILL, "depths own"),),
+    (_step(CHOOSE, "toned_before toned_after own sides depths noise scale chosen"),),
     (_step(DETAIL, "toned_before toned_after noise scale chosen"),))
 PICTURE: tuple[tuple[Step, ...], ...] = ((_step(COMPOSE, f"{_COMPOSED_OF} new.colour"),),)
 ALL_PLANES: tuple[tuple[Step, ...], ...] = (
@@ -146,7 +145,7 @@ def sizes_of(height: int, width: int) -> dict[str, int]:
     scale = scale_of(height, width)
     rows, columns = -(-height // scale), -(-width // scale)
     return {"height": height, "width": width, "rows": rows, "columns": columns, "tall": height + 2 * MARGIN,
-            "wide": width + 2 * MARGIN, "few_rows": rows // 4, "few_columns": columns // 4}
+            "wide": width + 2 * MARGIN, "few_rows": rows // 4, "few_columns": columns // 4, "both_rows": 2 * rows}
 
 
 def scale_of(height: int, width: int) -> int:

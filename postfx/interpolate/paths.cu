@@ -2,7 +2,8 @@
 
 // Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of cells of scale[0] x scale[0] pixels: means of
 // those of the nearest surface: motion (h, w, 2), depth (h, w, 1).
-extern "C" __global__ void interpolate_gather(View motion, View depth, View scale, View cells, View cell_depth) {
+extern "C" __global__ void interpolate_gather(View motion, View depth, View scale, View cells, View keys,
+                                              View cell_depth) {
     const int rows = cell_depth.size[0], columns = cell_depth.size[1], h = depth.size[0], w = depth.size[1];
     PIXEL(columns, rows);
     const int size = int(scale.at[0]), most = 4 * max(h, w);
@@ -28,15 +29,11 @@ extern "C" __global__ void interpolate_gather(View motion, View depth, View scal
     const float share = 1.0f / (count * size);  // of none, motion is 0 times infinity, NaN
     pair(cells, cell) = {u * share, v * share};
     cell_depth.at[cell] = nearest;
+    reinterpret_cast<unsigned long long*>(keys.at)[cell] = ~0ULL;
 }
 
 // What arrives at each cell from the frame after, whose motion is (rows, columns, 2): keys (rows, columns, 2) of depth
-// and index, so that the nearest wins, and the first of equal ones.
-extern "C" __global__ void interpolate_forget(View keys) {
-    PIXEL(keys.size[1], keys.size[0]);
-    reinterpret_cast<unsigned long long*>(keys.at)[size_t(y) * keys.size[1] + x] = ~0ULL;
-}
-
+// and index, so that the nearest wins, and the first of equal ones. `interpolate_gather` forgets those before.
 extern "C" __global__ void interpolate_arrive(View motion, View depth, View keys) {
     const int rows = keys.size[0], columns = keys.size[1];
     PIXEL(columns, rows);
@@ -237,15 +234,13 @@ extern "C" __global__ void interpolate_lead_ahead(View ahead, View motion, View 
     seen.at[cell] = is_seen;
 }
 
-// What arrives at each cell at time[0]: least depth (rows, columns, 1), then sums (rows, columns, 8) of the nearest
-// surface's paths: to both frames, seen, weight. Both begin as FAR and 0.
-extern "C" __global__ void interpolate_clear(View nearest_before, View nearest_after, View sums_before,
-                                             View sums_after) {
-    PIXEL(sums_after.size[1], sums_after.size[0]);
-    const size_t cell = size_t(y) * sums_after.size[1] + x;
-    nearest_before.at[cell] = nearest_after.at[cell] = FAR;
-    four(sums_before, 2 * cell) = four(sums_before, 2 * cell + 1) = {0.0f, 0.0f, 0.0f, 0.0f};
-    four(sums_after, 2 * cell) = four(sums_after, 2 * cell + 1) = {0.0f, 0.0f, 0.0f, 0.0f};
+// What arrives at each cell at time[0], of both frames' paths, one below the other: least depth (2 rows, columns, 1),
+// then sums (2 rows, columns, 8) of the nearest surface's paths: to both frames, seen, weight. They begin as FAR and 0.
+extern "C" __global__ void interpolate_clear(View nearest, View sums) {
+    PIXEL(sums.size[1], sums.size[0]);
+    const size_t cell = size_t(y) * sums.size[1] + x;
+    nearest.at[cell] = FAR;
+    four(sums, 2 * cell) = four(sums, 2 * cell + 1) = {0.0f, 0.0f, 0.0f, 0.0f};
 }
 
 // Neighbouring floats added in one transfer where a GPU can do that.
@@ -275,35 +270,210 @@ __device__ inline Pair way_at(const Four& end, const Pair& bent, float t) {
     return {end.x + t * (end.z - end.x) + s * bent.x, end.y + t * (end.w - end.y) + s * bent.y};
 }
 
-extern "C" __global__ void interpolate_nearest(View ends, View bend, View depth, View time, View nearest) {
-    const int h = nearest.size[0], w = nearest.size[1];
-    PIXEL(w, h);
-    const int cell = y * w + x;
-    const Pair by = way_at(four(ends, cell), pair(bend, cell), time.at[0]);
-    const float u = x + 0.5f + by.x, v = y + 0.5f + by.y;
-    if (!(0.0f <= u && u < w && 0.0f <= v && v < h)) return;
-    // as whole numbers, positive floats have the same order
-    atomicMin(reinterpret_cast<int*>(nearest.at) + int(v) * w + int(u), __float_as_int(depth.at[cell]));
+// One of two tensors of the same size.
+__device__ inline View one_of(const View& first, const View& second, bool is_second) {
+    return {is_second ? second.at : first.at, {first.size[0], first.size[1]}};
 }
 
-extern "C" __global__ void interpolate_means(View ends, View bend, View depth, View seen, View time, View nearest,
-                                             View sums) {
-    const int h = nearest.size[0], w = nearest.size[1];
-    PIXEL(w, h);
-    const int cell = y * w + x;
-    const Four end = four(ends, cell);
-    const Pair by = way_at(end, pair(bend, cell), time.at[0]);
-    const float u = x + by.x, v = y + by.y, z = depth.at[cell];
-    if (!(u > -1.0f && v > -1.0f && u < float(w) && v < float(h))) return;
-    const int i = int(floorf(u)), j = int(floorf(v));
-    for (int b = max(j, 0); b < min(j + 2, h); b++) {
-        for (int a = max(i, 0); a < min(i + 2, w); a++) {
-            const float weight = (1.0f - fabsf(u - a)) * (1.0f - fabsf(v - b)), front = nearest.at[b * w + a];
-            if (!(weight > 0.0f && fabsf(z - front) <= ALIKE * front)) continue;
-            float* const to = sums.at + 8 * size_t(b * w + a);
-            add_four(to, weight * (end.x - by.x), weight * (end.y - by.y), weight * (end.z - by.x),
-                     weight * (end.w - by.y));
-            add_two(to + 4, weight * seen.at[cell], weight);
+extern "C" __global__ void interpolate_nearest(View ends_before, View bend_before, View depth_before, View ends_after,
+                                               View bend_after, View depth_after, View time, View nearest) {
+    const int h = depth_before.size[0], w = nearest.size[1];
+    PIXEL(w, 2 * h);
+    const bool is_after = y >= h;
+    const int top = is_after ? h : 0, row = y - top, cell = row * w + x;
+    const Pair by = way_at(four(one_of(ends_before, ends_after, is_after), cell),
+                           pair(one_of(bend_before, bend_after, is_after), cell), time.at[0]);
+    const float u = x + 0.5f + by.x, v = row + 0.5f + by.y;
+    if (!(0.0f <= u && u < w && 0.0f <= v && v < h)) return;
+    // as whole numbers, positive floats have the same order
+    atomicMin(reinterpret_cast<int*>(nearest.at) + (top + int(v)) * w + int(u),
+              __float_as_int(one_of(depth_before, depth_after, is_after).at[cell]));
+}
+
+// Sums of what arrives at a cell.
+struct Arriving {
+    float ax, ay, bx, by, seen, weight;
+};
+
+__device__ inline void add_more(Arriving& sum, const Arriving& path, float weight) {
+    sum.ax += weight * path.ax;
+    sum.ay += weight * path.ay;
+    sum.bx += weight * path.bx;
+    sum.by += weight * path.by;
+    sum.seen += weight * path.seen;
+    sum.weight += weight;
+}
+
+__device__ inline Arriving both_of(const Arriving& one, const Arriving& other) {
+    return {one.ax + other.ax, one.ay + other.ay, one.bx + other.bx, one.by + other.by, one.seen + other.seen,
+            one.weight + other.weight};
+}
+
+__device__ inline void put_down(const View& sums, int cell, const Arriving& sum) {
+    if (!(sum.weight > 0.0f)) return;
+    add_four(sums.at + 8 * size_t(cell), sum.ax, sum.ay, sum.bx, sum.by);
+    add_two(sums.at + 8 * size_t(cell) + 4, sum.seen, sum.weight);
+}
+
+// What neighbours bring to one cell is summed up before: a warp makes 32 columns of STEPS_DOWN rows, downwards.
+const int STEPS_DOWN = 4;
+
+extern "C" __global__ void __launch_bounds__(256) interpolate_means(
+    View ends_before, View bend_before, View depth_before, View seen_before, View ends_after, View bend_after,
+    View depth_after, View seen_after, View time, View nearest, View sums) {
+    const int h = depth_before.size[0], w = nearest.size[1], lane = threadIdx.x % 32, x = 32 * blockIdx.x + lane;
+    const int strips = (h + STEPS_DOWN - 1) / STEPS_DOWN, strip = 8 * blockIdx.y + threadIdx.x / 32;
+    const bool is_after = strip >= strips;
+    const int top = is_after ? h : 0, from = STEPS_DOWN * (is_after ? strip - strips : strip);
+    if (from >= h) return;  // a whole warp
+    const View ends = one_of(ends_before, ends_after, is_after), bends = one_of(bend_before, bend_after, is_after);
+    const View depth = one_of(depth_before, depth_after, is_after), seen = one_of(seen_before, seen_after, is_after);
+    const float t = time.at[0];
+    Arriving below = {};
+    int place_below = -1;
+#pragma unroll
+    for (int step = 0; step < STEPS_DOWN; step++) {
+        const int y = from + step, cell = y * w + x;
+        Arriving path = {};
+        float weights[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+        int place = -2 * w * h - 2;  // of the cell before; it may lie outside
+        if (y < h && x < w) {
+            const Four end = four(ends, cell);
+            const Pair by = way_at(end, pair(bends, cell), t);
+            const float u = x + by.x, v = y + by.y, z = depth.at[cell];
+            if (u > -1.0f && v > -1.0f && u < float(w) && v < float(h)) {
+                const int i = int(floorf(u)), j = int(floorf(v));
+                path = {end.x - by.x, end.y - by.y, end.z - by.x, end.w - by.y, seen.at[cell], 1.0f};
+                place = (top + j) * w + i;
+#pragma unroll
+                for (int k = 0; k < 4; k++) {
+                    const int b = j + k / 2, a = i + k % 2;
+                    if (b < 0 || b >= h || a < 0 || a >= w) continue;
+                    const float front = nearest.at[(top + b) * w + a];
+                    if (fabsf(z - front) <= ALIKE * front) weights[k] = (1.0f - fabsf(u - a)) * (1.0f - fabsf(v - b));
+                }
+            }
+        }
+        const int place_left = __shfl_up_sync(~0u, place, 1);
+        const Arriving left = {__shfl_up_sync(~0u, path.ax, 1), __shfl_up_sync(~0u, path.ay, 1),
+                               __shfl_up_sync(~0u, path.bx, 1), __shfl_up_sync(~0u, path.by, 1),
+                               __shfl_up_sync(~0u, path.seen, 1), 1.0f};
+        const float upper_left = __shfl_up_sync(~0u, weights[1], 1), lower_left = __shfl_up_sync(~0u, weights[3], 1);
+        const int takes = lane > 0 && place_left + 1 == place, is_taken = __shfl_down_sync(~0u, takes, 1);
+        Arriving upper = {}, lower = {};
+        add_more(upper, path, weights[0]);
+        add_more(lower, path, weights[2]);
+        if (takes) {
+            add_more(upper, left, upper_left);
+            add_more(lower, left, lower_left);
+        }
+        if (lane == 31 || !is_taken) {
+            Arriving beside = {}, beyond = {};
+            add_more(beside, path, weights[1]);
+            add_more(beyond, path, weights[3]);
+            put_down(sums, place + 1, beside);
+            put_down(sums, place + 1 + w, beyond);
+        }
+        if (place == place_below)
+            upper = both_of(upper, below);
+        else
+            put_down(sums, place_below, below);
+        put_down(sums, place, upper);
+        below = lower;
+        place_below = place + w;
+    }
+    put_down(sums, place_below, below);
+}
+
+// What arrived at a cell of one side: the mean path to both frames, in cells, its share that is seen, and its depth.
+// Where nothing arrived it is that of two neighbours on opposite sides, or NaN and FAR.
+struct Arrived {
+    Four path;
+    float seen, depth;
+};
+
+__device__ inline Arrived mean_of(const View& sums, int cell, float depth) {
+    const Four p = four(sums, 2 * size_t(cell)), q = four(sums, 2 * size_t(cell) + 1);
+    return {{p.x / q.y, p.y / q.y, p.z / q.y, p.w / q.y}, q.x / q.y, depth};
+}
+
+// Of both sides one lies below the other, from a row on.
+__device__ inline Arrived arrived_at(const View& nearest, const View& sums, int top, int y, int x, int h) {
+    const int w = nearest.size[1], cell = (top + y) * w + x;
+    if (nearest.at[cell] < FAR) return mean_of(sums, cell, nearest.at[cell]);
+    Arrived found = {{__int_as_float(0x7fc00000), 0.0f, 0.0f, 0.0f}, 0.0f, nearest.at[cell]};
+    float best = FAR;
+    const int down[4] = {0, 1, 1, 1}, right[4] = {1, 0, 1, -1};
+    for (int k = 0; k < 4; k++) {
+        const int j = down[k], i = right[k], step = j * w + i;
+        if (y < j || y >= h - j || x < abs(i) || x >= w - abs(i)) continue;
+        const float one = nearest.at[cell - step], other = nearest.at[cell + step];
+        if (!(one < FAR && fabsf(one - other) <= ALIKE * one && one < best)) continue;
+        best = one;
+        const Arrived p = mean_of(sums, cell - step, one), q = mean_of(sums, cell + step, other);
+        found = {{0.5f * (p.path.x + q.path.x), 0.5f * (p.path.y + q.path.y), 0.5f * (p.path.z + q.path.z),
+                  0.5f * (p.path.w + q.path.w)}, 0.5f * (p.seen + q.seen), 0.5f * (one + other)};
+    }
+    return found;
+}
+
+// The same without jitter.
+__device__ inline Arrived without_jitter(Arrived found, const View& facts) {
+    const float* const shift = facts.at + 5;  // what jitters of both frames take off again
+    found.path = {found.path.x - shift[0], found.path.y - shift[1], found.path.z - shift[2], found.path.w - shift[3]};
+    return found;
+}
+
+// What arrived of both sides: paths (rows, columns, 8) and depths (rows, columns, 2). Of that, `own` has at each cell
+// the nearer path, or their mean where they are alike; NaN without. Its seventh number is how many pixels the sides'
+// paths differ from it, the eighth which of them, 1 and 2, the other frame shows, too.
+extern "C" __global__ void interpolate_merge(View nearest, View sums, View facts, View scale, View sides, View depths,
+                                             View own) {
+    PIXEL(own.size[1], own.size[0]);
+    const int rows = own.size[0];
+    const Arrived before = without_jitter(arrived_at(nearest, sums, 0, y, x, rows), facts);
+    const Arrived after = without_jitter(arrived_at(nearest, sums, rows, y, x, rows), facts);
+    const size_t cell = size_t(y) * own.size[1] + x;
+    four(sides, 2 * cell) = before.path;
+    four(sides, 2 * cell + 1) = after.path;
+    const float a = before.depth, b = after.depth;
+    pair(depths, cell) = {a, b};
+    const Path one = side_path(before.path, before.seen >= SURE, false, scale.at[0]);
+    const Path other = side_path(after.path, after.seen >= SURE, true, scale.at[0]);
+    Path merged = a < b ? one : other;
+    if (a < FAR && b < FAR && fabsf(a - b) <= 1.5f * ALIKE * fminf(a, b)) {
+        const bool is_any = other.first + one.last > 0.0f;
+        merged = {0.5f * (one.ax + other.ax), 0.5f * (one.ay + other.ay), 0.5f * (one.bx + other.bx),
+                  0.5f * (one.by + other.by), is_any ? other.first : 1.0f, is_any ? one.last : 1.0f};
+    }
+    const float apart = fmaxf(a < FAR ? most_apart(one, merged) : 0.0f, b < FAR ? most_apart(other, merged) : 0.0f);
+    four(own, 2 * cell) = {merged.ax, merged.ay, merged.bx, merged.by};
+    four(own, 2 * cell + 1) = {merged.first, merged.last, apart, one.last + 2.0f * other.first};
+}
+
+__device__ inline float front_of(const View& depths, int cell) {
+    const Pair both = pair(depths, cell);
+    return fminf(both.x, both.y);
+}
+
+// Cells without a path get that of the farthest of the next ones above, below, to the left and to the right.
+extern "C" __global__ void interpolate_fill(View depths, View own) {
+    const int rows = own.size[0], columns = own.size[1];
+    PIXEL(columns, rows);
+    const int cell = y * columns + x, steps[4] = {-columns, columns, -1, 1};
+    const int counts[4] = {y, rows - 1 - y, x, columns - 1 - x};
+    if (front_of(depths, cell) < FAR) return;
+    int source = -1;
+    float farthest = -1.0f;
+    for (int turn = 0; turn < 4; turn++) {
+        int at = cell;
+        for (int k = 0; k < counts[turn]; k++) {
+            at += steps[turn];
+            const float depth = front_of(depths, at);
+            if (!(depth < FAR)) continue;
+            if (depth > farthest) farthest = depth, source = at;
+            break;
         }
     }
+    put_path(own, cell, source < 0 ? Path{0.0f, 0.0f, 0.0f, 0.0f, 1.0f, 1.0f} : path_of(own, source));
 }

@@ -35,6 +35,8 @@ SIMILAR = reverse_motion.ALIKE
 """The same of neighbours from whose motion a crack is filled where motion is inverted."""
 SEEN = np.float32(1)
 """Pixels by which motion to the other frame and back may miss."""
+SURE = np.float32(0.7)
+"""Share of the paths that arrive at a cell that must be seen by the other frame: a sample of it has cells around."""
 COVERS = np.float32(0.9)
 """Share of a depth below which what is seen is something else, in front."""
 POINTS, LEAST_POINTS, FITTING = 2000, 64, 0.4

@@ -23,12 +23,14 @@ class Blocks:
         threads: of a block, in one axis.
         shared: bytes of dynamic shared memory, or as many as the GPU has.
         most: blocks at most; with fewer than there are rows for, each takes every so many rows.
+        columns: of its rows that a block makes; 0 for all of them.
     """
 
     rows: int
     threads: int
     shared: int = 0
     most: int = 65535
+    columns: int = 0
 
 
 @dataclass(frozen=True)

@@ -440,7 +440,29 @@ __device__ inline bool differ(const Path& one, const Path& other, float by) {
         || fabsf(one.by - other.by) > by;
 }
 
+// A path of one frame's side, in pixels: that frame shows it, the other one if most paths that arrived are seen.
+__device__ inline Path side_path(const Four& path, float is_seen, bool is_last, float scale) {
+    return {scale * path.x, scale * path.y, scale * path.z, scale * path.w, is_last ? is_seen : 1.0f,
+            is_last ? 1.0f : is_seen};
+}
+
+__device__ inline float most_apart(const Path& one, const Path& other) {
+    return fmaxf(fmaxf(fabsf(one.ax - other.ax), fabsf(one.ay - other.ay)),
+                 fmaxf(fabsf(one.bx - other.bx), fabsf(one.by - other.by)));
+}
+
 // Whether a place is in a picture.
 __device__ inline bool is_inside(int h, int w, float y, float x) {
     return x > -0.5f && y > -0.5f && x < float(w) - 0.5f && y < float(h) - 0.5f;
+}
+
+// Sum over eight lanes that work on one thing, in all of them.
+__device__ inline float sum_of_eight(float value) {
+    for (int mask = 4; mask; mask /= 2) value += __shfl_xor_sync(0xffu << (threadIdx.x & 24), value, mask);
+    return value;
+}
+
+// What the lane to the left of eight has.
+__device__ inline float left_lane(float value) {
+    return __shfl_up_sync(0xffu << (threadIdx.x & 24), value, 1, 8);
 }

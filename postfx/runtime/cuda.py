@@ -167,7 +167,8 @@ class CudaMemory:
         block = PIXELS if columns else ONE_BLOCK
         grid = (-(-columns // block[0]), -(-rows // block[1])) if columns else (1, 1)
         if blocks:
-            block, grid = (blocks.threads, 1), (1, min(-(-rows // blocks.rows), blocks.most))
+            across = -(-columns // blocks.columns) if blocks.columns else 1
+            block, grid = (blocks.threads, 1), (across, min(-(-rows // blocks.rows), blocks.most))
             handle, shared = _allow_shared(kernel.handle, blocks.shared, self.place[1])
         return self._launcher(kernel, handle, grid, block, shared, [_view(tensor) for tensor in tensors])
 
@@ -423,7 +424,7 @@ def check_result(result: tuple[Any, ...]) -> Any:
 SOURCES = Path(layout.__file__).resolve().parents[2]
 """The package, whose kernels lie beside the modules that their constants come from."""
 SHARED = SOURCES / "kernels"
-_KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\(\w+\) )?(\w+)\(')
+_KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([\w, ]+\) )?(\w+)\(')
 _NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
 _TYPES = {int: "int", np.float64: "double"}
 """Of constants in CUDA, by that in Python; all others are float."""

@@ -23,9 +23,9 @@ static const char* rows_at[8][32];
 static void load_matrices(unsigned (&to)[4], const char* row) {
     const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
     rows_at[warp][lane] = row;
-    meet(warp);
+    meet();
     for (int k = 0; k < 4; k++) std::memcpy(&to[k], rows_at[warp][8 * k + lane / 4] + 4 * (lane % 4), 4);
-    meet(warp);
+    meet();
 }
 static float number(unsigned both, int k) {
     return float(__builtin_bit_cast(_Float16, (unsigned short)(both >> 16 * k)));
@@ -47,14 +47,14 @@ static void add_product(float (&sums)[4], const unsigned (&left)[4], unsigned up
         for (int k = 0; k < 4; k++) half_left[warp][g + k % 2 * 8][2 * q + i + k / 2 * 8] = number(left[k], i);
         half_right[warp][2 * q + i][g] = number(upper, i), half_right[warp][2 * q + i + 8][g] = number(lower, i);
     }
-    meet(warp);
+    meet();
     for (int k = 0; k < 4; k++) {
         double total = sums[k];
         for (int i = 0; i < 16; i++)
             total += double(half_left[warp][g + k / 2 * 8][i]) * half_right[warp][i][2 * q + k % 2];
         sums[k] = float(total);
     }
-    meet(warp);
+    meet();
 }
 alignas(128) static char all_shared[1 << 18];
 #define SHARED_MEMORY char* const shared = all_shared

@@ -25,7 +25,7 @@ from postfx.system import private_folder
 
 COMPILER = shutil.which("g++")
 OPTIONS = ("-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas")
-KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\(\w+\) )?(\w+)\(([^)]*)\)')
+KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([\w, ]+\) )?(\w+)\(([^)]*)\)')
 SHIM = """
 #include <algorithm>
 #include <cmath>
@@ -44,10 +44,10 @@ struct Index { int x, y, z; };
 static Index blockIdx, threadIdx, blockDim = {1, 1, 1}, gridDim = {1, 1, 1};
 
 // Threads of a block as contexts that the scheduler resumes one after the other.
-static ucontext_t scheduler, contexts[256];
-static char stacks[256][1 << 16];
-static bool ended[256];
-static int alive, arrived, turn, at_product[8], products[8];
+static ucontext_t scheduler, contexts[1024];
+static char stacks[1024][1 << 16];
+static bool ended[1024];
+static int alive, arrived, turn, at_meeting[32][32], meetings[32][32];
 static void (*body)();
 
 static void give_way() {
@@ -101,14 +101,15 @@ static float shortened(unsigned bits) {
     return value;
 }
 
-static void meet(int warp) {
-    const int now = products[warp];
-    if (++at_product[warp] == 32) at_product[warp] = 0, products[warp]++;
-    while (products[warp] == now) give_way();
+// Wait for the other lanes of a warp that a mask names.
+static void meet(unsigned lanes = ~0u) {
+    const int warp = threadIdx.x / 32, group = __builtin_ctz(lanes), now = meetings[warp][group];
+    if (++at_meeting[warp][group] == __builtin_popcount(lanes)) at_meeting[warp][group] = 0, meetings[warp][group]++;
+    while (meetings[warp][group] == now) give_way();
 }
 
-static void __syncwarp() {
-    if (blockDim.x > 1) meet(threadIdx.x / 32);
+static void __syncwarp(unsigned lanes = ~0u) {
+    if (blockDim.x > 1) meet(lanes);
 }
 
 template <class T> static T atomicMin(T* at, T other) {
@@ -123,29 +124,42 @@ template <class T> static T atomicAdd(T* at, T more) {
     return before;
 }
 
-static float exchanged[8][32];
+// What another lane holds; its own where that is none of its group of `width`.
+static char exchanged[32][32][8];
 
-static float __shfl_xor_sync(unsigned, float value, int mask) {
+template <class T> static T exchange(unsigned lanes, T value, int from, int width = 32) {
     const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-    exchanged[warp][lane] = value;
-    meet(warp);
-    value = exchanged[warp][lane ^ mask];
-    meet(warp);
+    std::memcpy(exchanged[warp][lane], &value, sizeof value);
+    meet(lanes);
+    if (from >= 0 && from / width == lane / width) std::memcpy(&value, exchanged[warp][from], sizeof value);
+    meet(lanes);
     return value;
+}
+
+template <class T> static T __shfl_xor_sync(unsigned lanes, T value, int mask) {
+    return exchange(lanes, value, threadIdx.x % 32 ^ mask);
+}
+
+template <class T> static T __shfl_up_sync(unsigned lanes, T value, int by, int width = 32) {
+    return exchange(lanes, value, threadIdx.x % 32 - by, width);
+}
+
+template <class T> static T __shfl_down_sync(unsigned lanes, T value, int by, int width = 32) {
+    return exchange(lanes, value, threadIdx.x % 32 + by, width);
 }
 
 static void add_product(float (&sums)[4], const unsigned (&left)[4], const unsigned (&right)[2]) {
     const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, g = lane / 4, q = lane % 4;
     for (int k = 0; k < 4; k++) all_left[warp][g + k % 2 * 8][q + k / 2 * 4] = shortened(left[k]);
     for (int k = 0; k < 2; k++) all_right[warp][q + k * 4][g] = shortened(right[k]);
-    meet(warp);
+    meet();
     for (int k = 0; k < 4; k++) {
         double total = sums[k];
         const int row = g + k / 2 * 8, column = 2 * q + k % 2;
         for (int i = 0; i < 8; i++) total += double(all_left[warp][row][i]) * all_right[warp][i][column];
         sums[k] = float(total);
     }
-    meet(warp);
+    meet();
 }
 
 template <class T> static inline T __ldg(const T* at) { return *at; }
@@ -176,7 +190,8 @@ def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
     rows, columns = shape[axis], shape[axis + 1] if axis + 1 < len(shape) else 1
     threads, shared, blocks = 1, 0, kernel.blocks
     if blocks:
-        threads, shared, columns, rows = blocks.threads, blocks.shared, 1, min(-(-rows // blocks.rows), blocks.most)
+        threads, shared, rows = blocks.threads, blocks.shared, min(-(-rows // blocks.rows), blocks.most)
+        columns = -(-columns // blocks.columns) if blocks.columns else 1
     function = getattr(_library(find_source(kernel)), f"run_{kernel.name}")
     bindings = dict.fromkeys(kernel.reads + kernel.writes)  # what is changed in place is one of them
     function.argtypes = [*[ctypes.c_int] * 4, *[View] * len(bindings)]
