@@ -1,4 +1,5 @@
-// The picture that the paths make, as blend.py makes it. Pictures are held as (h, w, 4), cells are (rows, columns, 8).
+// The picture that the paths make, as blend.py makes it. Pictures and their depth are held as
+// (h, w, 4), cells are (rows, columns, 8).
 
 // The cells before and after a pixel's middle, and how far it is from the first to the second one.
 struct Between {
@@ -54,8 +55,12 @@ __device__ inline Colour plus(const Colour& sum, float weight, const Four& of) {
     return {sum.r + weight * of.x, sum.g + weight * of.y, sum.b + weight * of.z};
 }
 
-__device__ inline float held_within(float value, float p, float q, float r, float s) {
-    return fminf(fmaxf(value, fminf(fminf(p, q), fminf(r, s))), fmaxf(fmaxf(p, q), fmaxf(r, s)));
+__device__ inline Colour least(const Colour& one, const Four& other) {
+    return {fminf(one.r, other.x), fminf(one.g, other.y), fminf(one.b, other.z)};
+}
+
+__device__ inline Colour most(const Colour& one, const Four& other) {
+    return {fmaxf(one.r, other.x), fmaxf(one.g, other.y), fmaxf(one.b, other.z)};
 }
 
 // A picture at a place, within the range of the four pixels around it.
@@ -65,8 +70,8 @@ __device__ inline Colour colour_at(const View& picture, float y, float x, float 
     const Four down = taps_at(at.down, sharp), across = taps_at(at.across, sharp);
     const float weights[4] = {down.x, down.y, down.z, down.w};
     const int columns[4] = {max(at.i - 1, 0), at.i, min(at.i + 1, w - 1), min(at.i + 2, w - 1)};
-    Colour sum = {0.0f, 0.0f, 0.0f};
-    Four inner[4];
+    Colour sum = {0.0f, 0.0f, 0.0f}, low = {LARGEST_FLOAT, LARGEST_FLOAT, LARGEST_FLOAT};
+    Colour high = {-LARGEST_FLOAT, -LARGEST_FLOAT, -LARGEST_FLOAT};
 #pragma unroll
     for (int b = 0; b < 4; b++) {
         const size_t row = size_t(within(at.j - 1 + b, h)) * w;
@@ -74,12 +79,12 @@ __device__ inline Colour colour_at(const View& picture, float y, float x, float 
         Colour line = plus({0.0f, 0.0f, 0.0f}, across.x, four(picture, row + columns[0]));
         line = plus(plus(plus(line, across.y, q), across.z, r), across.w, four(picture, row + columns[3]));
         sum = {sum.r + weights[b] * line.r, sum.g + weights[b] * line.g, sum.b + weights[b] * line.b};
-        if (b == 1) inner[0] = q, inner[1] = r;
-        if (b == 2) inner[2] = q, inner[3] = r;
+        if (b == 1 || b == 2) {
+            low = least(least(low, q), r);
+            high = most(most(high, q), r);
+        }
     }
-    return {held_within(sum.r, inner[0].x, inner[1].x, inner[2].x, inner[3].x),
-            held_within(sum.g, inner[0].y, inner[1].y, inner[2].y, inner[3].y),
-            held_within(sum.b, inner[0].z, inner[1].z, inner[2].z, inner[3].z)};
+    return {fminf(fmaxf(sum.r, low.r), high.r), fminf(fmaxf(sum.g, low.g), high.g), fminf(fmaxf(sum.b, low.b), high.b)};
 }
 
 // Weights of the two frames for a path of a pixel, 1 together, by whether they show its point.
@@ -92,17 +97,21 @@ __device__ inline Pair weights_of(const Path& path, int h, int w, int y, int x, 
     return {share, 1.0f - share};
 }
 
+__device__ inline float depth_of(const View& picture, size_t pixel) {
+    return picture.at[4 * pixel + 3];
+}
+
 // Depth of the surface that a path shows at a pixel, 0 where it leads to another one, and whether both frames show it.
 struct Surface {
     float depth;
     bool is_shown;
 };
 
-__device__ inline Surface surface_of(const View& near, const View& far, const Path& path, int y, int x) {
-    const int h = near.size[0], w = near.size[1];
+__device__ inline Surface surface_of(const View& before, const View& after, const Path& path, int y, int x) {
+    const int h = before.size[0], w = before.size[1];
     const Corner a = corner_of(y + 0.5f + path.ay, x + 0.5f + path.ax, h, w);
     const Corner b = corner_of(y + 0.5f + path.by, x + 0.5f + path.bx, h, w);
-    const float one = near.at[a.j * w + a.i], other = far.at[b.j * w + b.i];
+    const float one = depth_of(before, size_t(a.j) * w + a.i), other = depth_of(after, size_t(b.j) * w + b.i);
     if (path.first == 0.0f || path.last == 0.0f) return {path.first == 0.0f ? other : one, false};
     const bool is_one = fabsf(one - other) <= NEARER * fminf(one, other);
     return {is_one ? 0.5f * (one + other) : 0.0f, is_one};
@@ -177,9 +186,9 @@ __device__ inline Around around_of(const View& cells, float scale, int y, int x)
              down.second * columns + across.first, down.second * columns + across.second}, down.share, across.share};
 }
 
-// What frames are mixed of. near, far: depth (h, w, 1) of both. dim: light that counts as dark.
+// What is mixed. dim: light that counts as dark.
 struct Mixed {
-    View cells, before, after, near, far;
+    View cells, before, after;
     float t, dim;
 };
 
@@ -232,7 +241,7 @@ __device__ inline Made mixed_pixel(const Mixed& of, const Around& around, int y,
     float share = lane == 0 ? shares[0] : lane == 1 ? shares[1] : lane == 2 ? shares[2] : shares[3];
     const Led one = cell_of(of.cells, lane == 0 ? around.places[0] : lane == 1 ? around.places[1]
                             : lane == 2 ? around.places[2] : around.places[3]);
-    const Surface surface = surface_of(of.near, of.far, one.path, y, x);
+    const Surface surface = surface_of(of.before, of.after, one.path, y, x);
     const float nearest = -largest_of_four(share > 0.0f && surface.is_shown ? -surface.depth : -LARGEST_FLOAT);
     if (surface.depth > (1.0f + NEARER) * nearest) share *= HIDDEN;
     Colour mean = {0.0f, 0.0f, 0.0f};
@@ -283,7 +292,7 @@ __device__ inline void put_pixel(const Mixed& of, const Made& made, const View& 
     colour[0] = made.colour.r, colour[1] = made.colour.g, colour[2] = made.colour.b;
     const float by_first = shares.at[0], by_last = shares.at[1];
     pair(to.motion, pixel) = {by_first * path.ax + by_last * path.bx, by_first * path.ay + by_last * path.by};
-    to.depth.at[pixel] = (taken.is_first ? of.near : of.far).at[taken.pixel];
+    to.depth.at[pixel] = (taken.is_first ? of.before.at : of.after.at)[4 * taken.pixel + 3];
     if (!ALL) return;
     four(to.paths, pixel) = ends;
     to.led.at[pixel] = made.led;
@@ -315,17 +324,17 @@ __device__ inline void compose(const Mixed& of, const View& scale, const View& s
 }
 
 extern "C" __global__ void __launch_bounds__(256, 4) interpolate_compose(
-    View cells, View before, View after, View near, View far, View time, View level, View scale, View shares,
+    View cells, View before, View after, View time, View level, View scale, View shares,
     View motion, View depth, View colour) {
-    compose<false>({cells, before, after, near, far, time.at[0], DARK * level.at[0]}, scale, shares,
+    compose<false>({cells, before, after, time.at[0], DARK * level.at[0]}, scale, shares,
                    {motion, depth, {}, {}, colour});
 }
 
 // The same where other planes follow.
 extern "C" __global__ void __launch_bounds__(256, 4) interpolate_compose_all(
-    View cells, View before, View after, View near, View far, View time, View level, View scale, View shares,
+    View cells, View before, View after, View time, View level, View scale, View shares,
     View motion, View depth, View paths, View led, View colour) {
-    compose<true>({cells, before, after, near, far, time.at[0], DARK * level.at[0]}, scale, shares,
+    compose<true>({cells, before, after, time.at[0], DARK * level.at[0]}, scale, shares,
                   {motion, depth, paths, led, colour});
 }
 

@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from postfx.interpolate.choose import OTHER as OTHER
 from postfx.interpolate.choose import JOINED, SMOOTH, TURNING, differ, is_within
+from postfx.interpolate.choose import OTHER as OTHER
 from postfx.kernels.numeric import Real, compiled, inline, summed, uncounted
 from postfx.kernels.vectors import in_lanes
 

@@ -1,13 +1,13 @@
 // Which path shows what is at a cell, as choose.py chooses it. Pictures are held as (h, w, 4) without what is not
-// finite; toned ones are (h + 2 MARGIN, w + 2 MARGIN, 1). Cells are (rows, columns, 8).
+// finite, the fourth number is depth; toned ones are (h + 2 MARGIN, w + 2 MARGIN, 1). Cells are (rows, columns, 8).
 
-// A picture (h, w, 3) as it is held.
-extern "C" __global__ void interpolate_hold(View picture, View held) {
+// A picture (h, w, 3) and its depth (h, w, 1) as they are held.
+extern "C" __global__ void interpolate_hold(View picture, View depth, View held) {
     const int w = picture.size[1];
     PIXEL(w, picture.size[0]);
     const size_t at = size_t(y) * w + x;
     const float* const p = picture.at + 3 * at;
-    four(held, at) = {known(p[0]), known(p[1]), known(p[2]), 0.0f};
+    four(held, at) = {known(p[0]), known(p[1]), known(p[2]), depth.at[at]};
 }
 
 // Sum of a block's threads, in all of them.

@@ -17,14 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from postfx.caching import LRUCache
 from postfx.errors import DeviceError, FrameError
 from postfx.frame import ROLES, Role
 from postfx.interpolate import LEAST_OF_CELLS
 from postfx.interpolate.choose import MARGIN
 from postfx.kernels import Blocks, Kernel
 from postfx.passes import share_planes, spec_of
-from postfx.runtime import ArgumentTable, Device
+from postfx.runtime import ArgumentTable, CommandBuffer, Device
 from postfx.runtime.memory import CUDA
 from postfx.runtime.tensor import Tensor
 
@@ -36,8 +35,6 @@ PARTS = 132
 FACTS = 9
 """Numbers of `facts`: whether motion of the frame before is known, four that its jitter adds to the ends of a frame's
 paths, and four that both frames' jitter takes off them."""
-MOST_TIMES, MOST_TABLES = 64, 256
-"""Times whose parameters stay on the GPU, and bound kernels that are known again."""
 
 
 def _no_rows(*_: Any) -> None:
@@ -63,7 +60,7 @@ def _kernel(name: str, reads: str, writes: str, blocks: Blocks | None = None) ->
 
 
 _SUMMING, _TILES = Blocks(1, 256), Blocks(8, 256, columns=32)
-HOLD = _kernel("hold", "picture:picture", "held:held")
+HOLD = _kernel("hold", "picture:picture depth:pixel_depth", "held:held")
 GATHER = _kernel("gather", "motion:pixel_motion depth:pixel_depth scale:number",
                  "cells:motion keys:motion cell_depth:depth")
 LIGHTS = _kernel("lights", "before:held after:held", "sums:sums", _SUMMING)
@@ -92,8 +89,7 @@ FILL = _kernel("fill", "depths:motion own:cells", "own:cells")
 CHOOSE = _kernel("choose", "before:toned after:toned own:cells sides:cells depths:motion noise:number scale:number",
                  "cells:cells", _TILES)
 DETAIL = _kernel("detail", "before:toned after:toned noise:number scale:number cells:cells", "cells:cells", _TILES)
-_COMPOSED = ("cells:cells before:held after:held near:pixel_depth far:pixel_depth time:number level:number "
-             "scale:number shares:two")
+_COMPOSED = "cells:cells before:held after:held time:number level:number scale:number shares:two"
 COMPOSE = _kernel("compose", _COMPOSED, "motion:pixel_motion depth:pixel_depth colour:colour", _TILES)
 COMPOSE_ALL = _kernel("compose_all", _COMPOSED, "motion:pixel_motion depth:pixel_depth paths:paths led:led "
                       "colour:colour", _TILES)
@@ -101,6 +97,8 @@ TAKE = _kernel("take", "before:plane after:plane paths:paths led:led", "data:pla
 
 Step = tuple[Kernel, dict[str, str]]
 """A kernel, and its buffers by binding."""
+Steps = tuple[tuple[Step, ...], ...]
+"""Groups of steps, one after the other; those of one group do not depend on each other."""
 
 
 def _step(kernel: Kernel, buffers: str) -> Step:
@@ -108,10 +106,10 @@ def _step(kernel: Kernel, buffers: str) -> Step:
     return kernel, dict(zip(dict.fromkeys(kernel.reads + kernel.writes), buffers.split(), strict=True))
 
 
-PUSH: tuple[tuple[Step, ...], ...] = ((
-    _step(HOLD, "after.colour after.held"),
+PUSH: Steps = ((
+    _step(HOLD, "after.colour after.depth after.held"),
     _step(GATHER, "after.motion after.depth scale after.cells keys after.cell_depth")), )
-PAIR: tuple[tuple[Step, ...], ...] = (
+PAIR: Steps = (
     (_step(LIGHTS, "before.held after.held lights"), _step(ARRIVE, "after.cells after.cell_depth keys")),
     (_step(LOGS, "before.held after.held lights logs"),),
     (_step(LEVEL, "logs level"), _step(INVERT, "keys after.cells before.cell_depth inverse")),
@@ -123,9 +121,9 @@ PAIR: tuple[tuple[Step, ...], ...] = (
            "ends_before bend_before seen_before"),
      _step(MISFITS, "toned_before toned_after ends_after seen_after scale misfits")),
     (_step(NOISE, "misfits noise"),))
-_COMPOSED_OF = "chosen before.held after.held before.depth after.depth time level scale shares new.motion new.depth"
+_COMPOSED_OF = "chosen before.held after.held time level scale shares new.motion new.depth"
 _SIDES = ("ends_before bend_before before.cell_depth", "ends_after bend_after after.cell_depth")
-FRAME: tuple[tuple[Step, ...], ...] = (
+FRAME: Steps = (
     (_step(CLEAR, "nearest arrived"),),
     (_step(NEAREST, f"{_SIDES[0]} {_SIDES[1]} time nearest"),),
     (_step(MEANS, f"{_SIDES[0]} seen_before {_SIDES[1]} seen_after time nearest arrived"),),
@@ -133,11 +131,10 @@ FRAME: tuple[tuple[Step, ...], ...] = (
     (_step(FILL, "depths own"),),
     (_step(CHOOSE, "toned_before toned_after own sides depths noise scale chosen"),),
     (_step(DETAIL, "toned_before toned_after noise scale chosen"),))
-PICTURE: tuple[tuple[Step, ...], ...] = ((_step(COMPOSE, f"{_COMPOSED_OF} new.colour"),),)
-ALL_PLANES: tuple[tuple[Step, ...], ...] = (
-    (_step(COMPOSE_ALL, f"{_COMPOSED_OF} paths led new.colour"),),
-    tuple(_step(TAKE, f"before.{role} after.{role} paths led new.{role}") for role in TAKEN))
-"""The last steps of a time, without planes that are taken along the paths of the picture, and with them."""
+PICTURE: Steps = ((_step(COMPOSE, f"{_COMPOSED_OF} new.colour"),),)
+WITH_PLANES: Steps = ((_step(COMPOSE_ALL, f"{_COMPOSED_OF} paths led new.colour"),),)
+"""The last step of a time, without planes that are taken along the paths of the picture, and with them."""
+TAKE_ALL: Steps = (tuple(_step(TAKE, f"before.{role} after.{role} paths led new.{role}") for role in TAKEN),)
 
 
 def sizes_of(height: int, width: int) -> dict[str, int]:
@@ -190,9 +187,8 @@ class DeviceInterpolator:
         self._buffers: dict[str, Tensor] = {}
         self._frames: list[dict[Role, Tensor]] = []
         self._jitters: list[tuple[float, float]] = []
-        self._numbers: LRUCache[tuple[float, ...], Tensor] = LRUCache(MOST_TIMES)
-        self._tables: LRUCache[tuple[object, ...], ArgumentTable] = LRUCache(MOST_TABLES)
-        self._facts: dict[str, list[float]] = {}
+        self._commands: dict[tuple[object, ...], CommandBuffer] = {}
+        self._numbers: dict[str, tuple[float, ...]] = {}
         self._resets: list[bool] = []
         self._count, self._made = 0, 0
         self.milliseconds = {"push": 0.0, "frame": 0.0}
@@ -208,7 +204,7 @@ class DeviceInterpolator:
 
         Args:
             planes: colour, depth and motion, (height, width, channels) float32, and normals if the new frames need
-                them. They must stay as they are until the second push after.
+                them. Normals must stay as they are until the second push after; the others are held here.
             reset: whether another shot begins with it; its motion then counts for nothing.
             jitter: as in `Frame`.
 
@@ -225,16 +221,13 @@ class DeviceInterpolator:
         self._frames, self._jitters = [*self._frames, tensors][-2:], [*self._jitters, jitter][-2:]
         self._resets = [*self._resets, reset][-2:]
         self._count += 1
-        steps = PUSH
+        commands = [self._record("push", PUSH)]
         if self.ready:
             both = (*self._jitters[0], *self._jitters[1])
             for name, own in (("facts_before", self._jitters[0]), ("facts_after", self._jitters[1])):
-                facts = facts_of(own, both, not self._resets[0], scale_of(*size))
-                if self._facts.get(name) != facts:
-                    self._buffers[name].upload(np.array(facts, np.float32))
-                    self._facts[name] = facts
-            steps = (*PUSH, *PAIR)
-        self.milliseconds["push"] = self._run("push", steps, {})
+                self._tell(name, *facts_of(own, both, not self._resets[0], scale_of(*size)))
+            commands.append(self._known("pair", PAIR, self._count % 2))
+        self.milliseconds["push"] = self._run(commands)
 
     def frame(self, t: float, previous: float = 0.0) -> dict[Role, Tensor]:
         """Colour, motion, depth, and normals where both frames have them, at a time t between 0 and 1. They stay as
@@ -250,62 +243,77 @@ class DeviceInterpolator:
             raise FrameError(f"time {t} with motion to {previous}: give 0 < t < 1 and -1 <= previous <= t")
         self._made += 1
         back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
-        given = {"time": self._number("time", t), "shares": self._number("shares", *back)}
+        self._tell("time", t)
+        self._tell("shares", *back)
         roles = [role for role in (*NEEDED, *TAKEN) if all(role in frame for frame in self._frames)]
-        last = ALL_PLANES if len(roles) > len(NEEDED) else PICTURE
-        self.milliseconds["frame"] = self._run("frame", (*FRAME, *last), given)
-        return {role: self._buffer(f"new.{role}", {}) for role in roles}
+        sets = self._count % 2, self._made % 2
+        if len(roles) > len(NEEDED):
+            commands = [self._known("frame with planes", (*FRAME, *WITH_PLANES), *sets),
+                        self._record("planes", TAKE_ALL)]
+        else:
+            commands = [self._known("frame", (*FRAME, *PICTURE), *sets)]
+        self.milliseconds["frame"] = self._run(commands)
+        return {role: self._buffer(f"new.{role}") for role in roles}
 
     def _allocate(self, size: tuple[int, int]) -> None:
         """Buffers for a size of frames: those of the frames themselves and of results are there twice."""
         for tensor in self._buffers.values():
             tensor.release()
-        self._size, self._frames, self._jitters, self._resets, self._facts = size, [], [], [], {}
-        self._buffers, self._tables = {}, LRUCache(MOST_TABLES)
-        for name, shape in shapes_of((*PUSH, *PAIR, *FRAME, *ALL_PLANES), sizes_of(*size)).items():
+        self._size, self._frames, self._jitters, self._resets = size, [], [], []
+        self._buffers, self._commands, self._numbers = {}, {}, {}
+        for name, shape in shapes_of((*PUSH, *PAIR, *FRAME, *WITH_PLANES, *TAKE_ALL), sizes_of(*size)).items():
             side, _, plane = name.rpartition(".")
-            if name in ("time", "shares") or side == "before" or (side == "after" and plane in ROLES):
+            if side == "before" or (side == "after" and plane in ROLES):
                 continue
             for index in range(2 if side else 1):
                 place = f"{index}.{side}.{plane}" if side else name
                 self._buffers[place] = self._device.heap.tensor(f"interpolate {place}", shape)
-        self._buffers["scale"].upload(np.array([scale_of(*size)], np.float32))
+        self._tell("scale", scale_of(*size))
 
-    def _number(self, name: str, *values: float) -> Tensor:
-        """A tensor of parameters, which is uploaded once."""
-        def make() -> Tensor:
-            tensor = self._device.heap.tensor(f"interpolate {name}", (len(values),))
-            tensor.upload(np.array(values, np.float32))
-            return tensor
+    def _tell(self, name: str, *numbers: float) -> None:
+        """Upload parameters that are others than before."""
+        if self._numbers.get(name) != numbers:
+            self._buffers[name].upload(np.array(numbers, np.float32))
+            self._numbers[name] = numbers
 
-        return self._numbers.get_or_make(values, make)
-
-    def _buffer(self, name: str, given: Mapping[str, Tensor]) -> Tensor:
+    def _buffer(self, name: str) -> Tensor:
         side, _, plane = name.rpartition(".")
         if side == "new":
             return self._buffers[f"{self._made % 2}.new.{plane}"]
         if not side:
-            return given.get(name) or self._buffers[name]
+            return self._buffers[name]
         age = 0 if side == "after" else 1
         if plane in ROLES:
             return self._frames[-1 - age][Role(plane)]
         return self._buffers[f"{(self._count - age) % 2}.after.{plane}"]
 
-    def _table(self, kernel: Kernel, tensors: dict[str, Tensor]) -> ArgumentTable:
-        """A kernel's tensors, as bound before."""
-        state = self._device.compute_state(kernel)
-        return self._tables.get_or_make((kernel, *tensors.values()), lambda: ArgumentTable(state, tensors))
-
-    def _run(self, label: str, steps: Iterable[Iterable[Step]], given: Mapping[str, Tensor]) -> float:
-        """Run steps; milliseconds."""
+    def _record(self, label: str, steps: Steps) -> CommandBuffer:
+        """Commands of steps on the buffers that these mean now."""
         commands = self._device.command_buffer(f"interpolate {label}")
         with commands.compute_encoder(label) as encoder:
             encoder.barrier(after="compute", before="compute")
             for group in steps:
                 for kernel, buffers in group:
-                    table = self._table(kernel, {key: self._buffer(name, given) for key, name in buffers.items()})
-                    encoder.dispatch(table.state, table)
+                    state = self._device.compute_state(kernel)
+                    tensors = {binding: self._buffer(name) for binding, name in buffers.items()}
+                    encoder.dispatch(state, ArgumentTable(state, tensors))
                 encoder.barrier()
-        commands.commit()
-        commands.wait()
-        return sum(milliseconds for _, milliseconds in commands.timings)
+        return commands
+
+    def _known(self, label: str, steps: Steps, *sets: int) -> CommandBuffer:
+        """The same, recorded once for each set of buffers."""
+        if (label, *sets) not in self._commands:
+            self._commands[label, *sets] = self._record(label, steps)
+        return self._commands[label, *sets]
+
+    def _run(self, parts: list[CommandBuffer]) -> float:
+        """Run commands, the first ones first; milliseconds on the GPU."""
+        try:
+            for commands in parts:
+                commands.commit()
+            for commands in parts:
+                commands.wait()
+        except BaseException:
+            self._commands.clear()  # some may not have been waited for
+            raise
+        return sum(milliseconds for commands in parts for _, milliseconds in commands.timings)
