@@ -23,7 +23,7 @@ import numpy as np
 
 from postfx.cuts import CutDetector
 from postfx.errors import FrameError
-from postfx.frame import Frame, Role
+from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.interpolate import paths
 from postfx.interpolate.blend import compose, is_finite, is_same_plane, join_cells
 from postfx.interpolate.choose import (
@@ -228,10 +228,8 @@ class Between:
     @cached_property
     def _small(self) -> tuple[np.ndarray, np.ndarray]:
         """The grey pictures at one pixel a cell."""
-        rows, columns = self._grid
-        inner = [toned[MARGIN:MARGIN + self._scale * rows, MARGIN:MARGIN + self._scale * columns]
-                 for toned in self._toned]
-        first, last = (halve(one) if self._scale == 2 else np.ascontiguousarray(one) for one in inner)
+        first, last = (halve(toned, MARGIN) if self._scale == 2 else
+                       np.ascontiguousarray(toned[MARGIN:-MARGIN, MARGIN:-MARGIN]) for toned in self._toned)
         return first, last
 
     @cached_property
@@ -250,7 +248,8 @@ class Between:
         known = np.ones(self._size, np.bool_)
         if self._both_have(Role.MOTION) and not self._both_have(Role.OPAQUE_COLOUR):
             motion = self.after[Role.MOTION]
-            size = np.abs(_finite(motion[::4, ::4])).sum(-1)
+            some = _finite(motion[::4, ::4])
+            size = np.abs(some[..., 0]) + np.abs(some[..., 1])
             find_overlay(*self._pictures, motion, min(LONGEST, math.ceil(float(np.quantile(size, 0.99)))), known)
         return known, known
 
@@ -301,7 +300,8 @@ class Between:
         for known, cells in self._gathered:
             if known is frame:
                 return cells
-        motion, depth = (frame[role] if role in frame else np.empty((0, 0, count), np.float32)
+        motion, depth = (np.ascontiguousarray(frame[role]) if role in frame else
+                         np.full((1, self._size[1], count), DEPTH_MISS, np.float32)
                          for role, count in ((Role.MOTION, 2), (Role.DEPTH, 1)))
         found = np.empty((*self._grid, 2), np.float32), np.empty((*self._grid, 1), np.float32)
         paths.gather_cells(motion, depth, self._scale, np.float32(4 * max(self._size)), *found)

@@ -17,7 +17,7 @@ import numpy as np
 
 from postfx.interpolate.choose import JOINED, SMOOTH, TURNING, differ, is_within
 from postfx.interpolate.choose import OTHER as OTHER
-from postfx.kernels.numeric import Real, compiled, inline, summed, uncounted
+from postfx.kernels.numeric import Real, compiled, inline, load_eight, mix_eight, store_eight, summed, uncounted
 from postfx.kernels.vectors import in_lanes
 
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -74,14 +74,6 @@ def cubic_three(v: Any, flat: Any, at: Any, stride: Any, down: Any, across: Any,
     high = inner[0].largest(inner[1]).largest(inner[2].largest(inner[3]))
     value = value.largest(low).least(high)
     return tuple(value.number(k) for k in range(3))
-
-
-@in_lanes(8, results=8)
-def path_between(v: Any, cells: Any, p: Any, q: Any, r: Any, s: Any, across: Any, down: Any) -> Any:
-    """What is known of cells, between four of them."""
-    upper, lower = (v.load(cells, a).to(v.load(cells, b), across) for a, b in ((p, q), (r, s)))
-    found = upper.to(lower, down)
-    return tuple(found.number(k) for k in range(8))
 
 
 @inline
@@ -179,63 +171,54 @@ def between_cells(position: int, size: Real, count: int) -> tuple[int, int, Real
 
 @uncounted
 def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, paths: np.ndarray) -> None:
-    """Paths (w, 8) of a row of pixels: between four cells that are joined, or that of the nearest one. The last number
-    is 1 for joined ones, else 0. cells: flat. size: cells of a pixel."""
-    half = np.float32(0.5)
+    """Paths (w, 8) of a row of pixels between four cells that are joined. The last number is 0 where they are not, and
+    the others are left. cells: flat. size: cells of a pixel."""
     top, low, down = between_cells(y, size, rows)
+    flat = paths.reshape(-1)
     for x in range(paths.shape[0]):
         left, right, across = between_cells(x, size, columns)
-        p, q, r, s = top * columns + left, top * columns + right, low * columns + left, low * columns + right
-        joined = cells[8 * p + 7]
-        if joined == 0:
-            p = (s if across > half else r) if down > half else q if across > half else p
-            q, r, s = p, p, p
-        found = path_between(cells, 8 * p, 8 * q, 8 * r, 8 * s, across, down)
-        for c in range(7):
-            paths[x, c] = found[c]
-        most = max(max(cells[8 * p + 6], cells[8 * q + 6]), max(cells[8 * r + 6], cells[8 * s + 6]))
-        paths[x, 6] = most if most > CRISP else found[6]
+        p, q = 8 * (top * columns + left), 8 * (top * columns + right)
+        r, s = 8 * (low * columns + left), 8 * (low * columns + right)
+        joined = cells[p + 7]
+        if joined > 0:
+            upper = mix_eight(load_eight(cells, p), load_eight(cells, q), across)
+            lower = mix_eight(load_eight(cells, r), load_eight(cells, s), across)
+            store_eight(flat, 8 * x, mix_eight(upper, lower, down))
+            most = max(max(cells[p + 6], cells[q + 6]), max(cells[r + 6], cells[s + 6]))
+            if most > CRISP:
+                paths[x, 6] = most
         paths[x, 7] = joined
-
-
-@uncounted
-def weigh_row(paths: np.ndarray, h: int, y: int, t: Real, shares: np.ndarray) -> None:
-    """Weights (w, 2) of both frames for a row of pixels, where everything is known."""
-    half, end, bottom = np.float32(0.5), np.float32(paths.shape[0] - 0.5), np.float32(h - 0.5)
-    both, rest = shares_of(ONE, ONE, t)
-    for x in range(paths.shape[0]):
-        u, v, p, q = x + paths[x, 0], y + paths[x, 1], x + paths[x, 2], y + paths[x, 3]
-        first = paths[x, 4] if (u > -half) & (v > -half) & (u < end) & (v < bottom) else ZERO
-        last = paths[x, 5] if (p > -half) & (q > -half) & (p < end) & (q < bottom) else ZERO
-        if min(first, last) == 1:
-            shares[x, 0], shares[x, 1] = both, rest
-        else:
-            shares[x, 0], shares[x, 1] = shares_of(first, last, t)
 
 
 @uncounted
 def weigh_known_row(paths: np.ndarray, known_before: np.ndarray, known_after: np.ndarray, y: int, t: Real,
                     shares: np.ndarray) -> None:
-    """Likewise, where something is not known."""
+    """Weights (w, 2) of both frames for a row of pixels, where something is not known."""
     for x in range(paths.shape[0]):
         path = paths[x, 0], paths[x, 1], paths[x, 2], paths[x, 3], paths[x, 4], paths[x, 5], paths[x, 6]
         shares[x, 0], shares[x, 1] = weights_of(path, known_before, known_after, y, x, t)
 
 
 @uncounted
-def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.ndarray, shares: np.ndarray,
-               dim: Real, row: np.ndarray) -> None:
-    """Colours (w, 3) of a row of pixels where cells are joined and no edge is near; NaN elsewhere. before, after: flat.
-    """
+def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.ndarray, masked: bool, t: Real,
+               shares: np.ndarray, dim: Real, row: np.ndarray) -> None:
+    """Colours (w, 3) of a row of pixels where cells are joined and no edge is near, and weights (w, 2) of both frames,
+    unless something is masked; NaN elsewhere. before, after: flat."""
     w = row.shape[0]
+    both, rest = shares_of(ONE, ONE, t)
     for x in range(w):
+        row[x, 0] = np.nan
+        if paths[x, 7] == 0:
+            continue
         j, i, down, across = corner_of(y + paths[x, 1], x + paths[x, 0], h, w)
         m, n, under, beside = corner_of(y + paths[x, 3], x + paths[x, 2], h, w)
-        is_inner = (min(j, m) >= 1) & (max(j, m) < h - 2) & (min(i, n) >= 1) & (max(i, n) < w - 4)
-        if not (is_inner & (paths[x, 7] > 0)):
-            row[x, 0] = np.nan
+        if not ((min(j, m) >= 1) & (max(j, m) < h - 2) & (min(i, n) >= 1) & (max(i, n) < w - 4)):
             continue
-        one, other = shares[x, 0], shares[x, 1]
+        if masked:
+            one, other = shares[x, 0], shares[x, 1]
+        else:
+            one, other = (both, rest) if min(paths[x, 4], paths[x, 5]) == 1 else shares_of(paths[x, 4], paths[x, 5], t)
+            shares[x, 0], shares[x, 1] = one, other
         a, b, c = cubic_three(before, ((j - 1) * w + i - 1) * 3, 3 * w, down, across, paths[x, 6])
         p, q, r = cubic_three(after, ((m - 1) * w + n - 1) * 3, 3 * w, under, beside, paths[x, 6])
         one, other = settle(one, other, a + b + c, p + q + r, dim)
@@ -347,6 +330,8 @@ def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray
                     continue
                 path = cell_of(flat, 8 * ((low if k > 1 else top) * columns + (right if k % 2 else left)))
             first, last = weights_of(path, known_before, known_after, y, x, t)
+            if joined:
+                shares[x, 0], shares[x, 1] = first, last
             a, b, c = NOTHING
             p, q, r = NOTHING
             if first > 0:
@@ -437,14 +422,12 @@ def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray,
     h, w = colour.shape[:2]
     time, size, dim = np.float32(t), np.float32(1 / scale), DARK * np.float32(level)
     flat_cells, flat_before, flat_after = cells.reshape(-1), before.reshape(-1), after.reshape(-1)
-    paths, shares, mixture = np.empty((w, 8), np.float32), np.empty((w, 2), np.float32), np.empty((w, 4), np.float32)
+    paths, shares, mixture = np.zeros((w, 8), np.float32), np.empty((w, 2), np.float32), np.empty((w, 4), np.float32)
     for y in range(y0, y1):
         find_row(flat_cells, cells.shape[0], cells.shape[1], size, y, paths)
         if masked:
             weigh_known_row(paths, known_before, known_after, y, time, shares)
-        else:
-            weigh_row(paths, h, y, time, shares)
-        sample_row(flat_before, flat_after, h, y, paths, shares, dim, colour[y])
+        sample_row(flat_before, flat_after, h, y, paths, masked, time, shares, dim, colour[y])
         mix_row(cells, size, before, after, known_before, known_after, near, far, y, time, paths, shares, dim,
                 colour[y], mixture)
         if light.shape[2]:

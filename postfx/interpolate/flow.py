@@ -83,19 +83,20 @@ def tone_rows(y0: int, y1: int, picture: np.ndarray, level: Real, margin: int, t
             row[beside], row[w + margin + beside] = row[margin], row[w + margin - 1]
 
 
-def halve(picture: np.ndarray) -> np.ndarray:
-    """Means of 2x2 pixels; an odd last row or column is left out."""
-    means = np.empty([side // 2 for side in picture.shape], np.float32)
-    average_fours(picture, means)
+def halve(picture: np.ndarray, margin: int = 0) -> np.ndarray:
+    """Means of 2x2 pixels of a picture within margins; an odd last row or column is averaged with the margin, or left
+    out where there is none."""
+    means = np.empty([(side - 2 * margin + (margin > 0)) // 2 for side in picture.shape], np.float32)
+    average_fours(picture, margin, means)
     return means
 
 
-@vectorised
-def average_fours(picture: np.ndarray, means: np.ndarray) -> None:
+@compiled
+def average_fours(picture: np.ndarray, margin: int, means: np.ndarray) -> None:
     for y in range(means.shape[0]):
-        upper, lower, row = picture[2 * y], picture[2 * y + 1], means[y]
+        upper, lower, row = picture[2 * y + margin, margin:], picture[2 * y + margin + 1, margin:], means[y]
         for x in range(row.size):
-            row[x] = np.float32(0.25) * (upper[2 * x] + upper[2 * x + 1] + lower[2 * x] + lower[2 * x + 1])
+            row[x] = np.float32(0.25) * (upper[2 * x] + lower[2 * x] + upper[2 * x + 1] + lower[2 * x + 1])
 
 
 def enlarge_motion(flow: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -159,6 +160,16 @@ def value_at(picture: np.ndarray, y: Real, x: Real) -> Real:
     fx, fy = x - i, y - j
     upper = picture[j, i] * (1 - fx) + picture[j, i + 1] * fx
     return upper * (1 - fy) + (picture[j + 1, i] * (1 - fx) + picture[j + 1, i + 1] * fx) * fy
+
+
+@inline
+def motion_at(flow: np.ndarray, y: Real, x: Real) -> tuple[Real, Real]:
+    """Motion between four pixels, likewise."""
+    h, w = flow.shape[:2]
+    x, y = min(max(x, np.float32(0)), np.float32(w - 1.001)), min(max(y, np.float32(0)), np.float32(h - 1.001))
+    i, j = int(x), int(y)
+    fx, fy = x - i, y - j
+    return (motion_between(flow, 0, j, j + 1, fy, i, i + 1, fx), motion_between(flow, 1, j, j + 1, fy, i, i + 1, fx))
 
 
 @in_lanes(PATCH, results=2)
@@ -327,7 +338,7 @@ def keep_consistent(one: np.ndarray, other: np.ndarray, scale: Real, kept: np.nd
             kept[y, x, 0], kept[y, x, 1] = np.nan, np.nan
             u, v = x + one[y, x, 0], y + one[y, x, 1]
             if -0.5 < u < w - 0.5 and -0.5 < v < h - 0.5:
-                back_u, back_v = value_at(other[:, :, 0], v, u), value_at(other[:, :, 1], v, u)
+                back_u, back_v = motion_at(other, v, u)
                 if abs(back_u + one[y, x, 0]) <= most and abs(back_v + one[y, x, 1]) <= most:
                     kept[y, x, 0], kept[y, x, 1] = scale * one[y, x, 0], scale * one[y, x, 1]
 

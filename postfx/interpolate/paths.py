@@ -124,35 +124,57 @@ def splat_paths(paths: Paths, t: float) -> tuple[np.ndarray, np.ndarray]:
     return found, depth
 
 
+@inline
+def gather_cell(upper: np.ndarray, lower: np.ndarray, moved: np.ndarray, moved_below: np.ndarray, left: int, right: int,
+                scale: Real, most: Real, x: int, cells: np.ndarray, depths: np.ndarray) -> None:
+    """One cell: of pixels `left` and `right` of two rows, which may be the same. Without branches, so that the compiler
+    makes several at a time."""
+    miss, one, zero = np.float32(DEPTH_MISS), np.float32(1), np.float32(0)
+    p, q, r, s = upper[left], upper[right], lower[left], lower[right]
+    p, q, r, s = p if p < miss else miss, q if q < miss else miss, r if r < miss else miss, s if s < miss else miss
+    first, last = p if p < q else q, r if r < s else s
+    nearest = first if first < last else last
+    nearest = nearest if nearest > np.float32(1e-6) else np.float32(1e-6)
+    beyond = nearest * (1 + ALIKE)
+    pu, pv, qu, qv = moved[2 * left], moved[2 * left + 1], moved[2 * right], moved[2 * right + 1]
+    ru, rv, su, sv = (moved_below[2 * left], moved_below[2 * left + 1], moved_below[2 * right],
+                      moved_below[2 * right + 1])
+    a, b = (abs(pu) <= most) & (abs(pv) <= most) & (p <= beyond), (abs(qu) <= most) & (abs(qv) <= most) & (q <= beyond)
+    c, d = (abs(ru) <= most) & (abs(rv) <= most) & (r <= beyond), (abs(su) <= most) & (abs(sv) <= most) & (s <= beyond)
+    u = (pu if a else zero) + (qu if b else zero) + (ru if c else zero) + (su if d else zero)
+    v = (pv if a else zero) + (qv if b else zero) + (rv if c else zero) + (sv if d else zero)
+    count = (one if a else zero) + (one if b else zero) + (one if c else zero) + (one if d else zero)
+    size = 1 / np.float64(count * scale)  # of none, motion is 0 times infinity, NaN
+    depths[x] = nearest
+    cells[2 * x], cells[2 * x + 1] = u * size, v * size
+
+
+@uncounted
+def gather_row(upper: np.ndarray, lower: np.ndarray, moved: np.ndarray, moved_below: np.ndarray, scale: int, most: Real,
+               cells: np.ndarray, depths: np.ndarray) -> None:
+    """A row of cells, flat, of two rows of pixels."""
+    pairs, size = upper.size // 2 if scale == 2 else 0, np.float32(scale)
+    for x in range(pairs):
+        gather_cell(upper, lower, moved, moved_below, 2 * x, 2 * x + 1, size, most, x, cells, depths)
+    for x in range(pairs, depths.size):
+        gather_cell(upper, lower, moved, moved_below, scale * x, scale * x, size, most, x, cells, depths)
+
+
 @uncounted
 def gather_cells(motion: np.ndarray, depth: np.ndarray, scale: int, most: Real, cell_motion: np.ndarray,
                  cell_depth: np.ndarray) -> None:
     """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of cells of one pixel or 2x2: means of those of
-    the nearest surface. Either plane may be empty. Motion beyond `most` pixels, out of any picture, becomes NaN; depth
-    lies between 0 and a miss."""
-    h, w = max(motion.shape[0], depth.shape[0]), max(motion.shape[1], depth.shape[1])
-    miss, one = np.float32(DEPTH_MISS), np.float32(1)
-    for row in range(cell_depth.shape[0]):
+    the nearest surface. Either plane may have one row, which stands for all. Motion beyond `most` pixels, out of any
+    picture, becomes NaN; depth lies between 0 and a miss."""
+    h, w = max(motion.shape[0], depth.shape[0]), depth.shape[1]
+    rows, columns = cell_depth.shape[:2]
+    moved, far, cells, depths = motion.reshape(-1), depth.reshape(-1), cell_motion.reshape(-1), cell_depth.reshape(-1)
+    for row in range(rows):
         top, low = row * scale, min(row * scale + scale - 1, h - 1)
-        for column in range(cell_depth.shape[1]):
-            left, right, beyond = column * scale, min(column * scale + scale - 1, w - 1), miss
-            p, q, r, s = beyond, beyond, beyond, beyond
-            if depth.size:
-                p, q, r, s = depth[top, left, 0], depth[top, right, 0], depth[low, left, 0], depth[low, right, 0]
-                p, q = p if p < miss else miss, q if q < miss else miss  # NaN, too
-                r, s = r if r < miss else miss, s if s < miss else miss
-                nearest = max(min(min(p, q), min(r, s)), np.float32(1e-6))
-                cell_depth[row, column, 0], beyond = nearest, nearest * (1 + ALIKE)
-            else:
-                cell_depth[row, column, 0] = miss
-            if motion.size:
-                u, v, count = np.float32(0), np.float32(0), np.float32(0)
-                for j, i, z in ((top, left, p), (top, right, q), (low, left, r), (low, right, s)):
-                    x, y = motion[j, i, 0], motion[j, i, 1]
-                    if (abs(x) <= most) & (abs(y) <= most) & (z <= beyond):
-                        u, v, count = u + x, v + y, count + one
-                size = one / (count * scale) if count else np.float32(np.nan)
-                cell_motion[row, column, 0], cell_motion[row, column, 1] = u * size, v * size
+        p, q = (top * w, low * w) if depth.shape[0] > 1 else (0, 0)
+        r, s = (2 * top * w, 2 * low * w) if motion.shape[0] > 1 else (0, 0)
+        gather_row(far[p:p + w], far[q:q + w], moved[r:r + 2 * w], moved[s:s + 2 * w], scale, most,
+                   cells[2 * row * columns:2 * (row + 1) * columns], depths[row * columns:(row + 1) * columns])
 
 
 @uncounted
