@@ -170,19 +170,21 @@ def between_cells(position: int, size: Real, count: int) -> tuple[int, int, Real
 
 
 @uncounted
-def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, paths: np.ndarray) -> None:
+def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, places: np.ndarray, across: np.ndarray,
+             paths: np.ndarray) -> None:
     """Paths (w, 8) of a row of pixels between four cells that are joined. The last number is 0 where they are not, and
-    the others are left. cells: flat. size: cells of a pixel."""
+    the others are left. cells: flat. size: cells of a pixel. places, across (w,): of the cells before pixels, and how
+    far these lie after them."""
     top, low, down = between_cells(y, size, rows)
-    flat = paths.reshape(-1)
+    flat, upper_row, lower_row, last = paths.reshape(-1), 8 * top * columns, 8 * low * columns, 8 * (columns - 1)
     for x in range(paths.shape[0]):
-        left, right, across = between_cells(x, size, columns)
-        p, q = 8 * (top * columns + left), 8 * (top * columns + right)
-        r, s = 8 * (low * columns + left), 8 * (low * columns + right)
+        left, share = places[x], across[x]
+        right = min(left + 8, last)
+        p, q, r, s = upper_row + left, upper_row + right, lower_row + left, lower_row + right
         joined = cells[p + 7]
         if joined > 0:
-            upper = mix_eight(load_eight(cells, p), load_eight(cells, q), across)
-            lower = mix_eight(load_eight(cells, r), load_eight(cells, s), across)
+            upper = mix_eight(load_eight(cells, p), load_eight(cells, q), share)
+            lower = mix_eight(load_eight(cells, r), load_eight(cells, s), share)
             store_eight(flat, 8 * x, mix_eight(upper, lower, down))
             most = max(max(cells[p + 6], cells[q + 6]), max(cells[r + 6], cells[s + 6]))
             if most > CRISP:
@@ -423,8 +425,12 @@ def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray,
     time, size, dim = np.float32(t), np.float32(1 / scale), DARK * np.float32(level)
     flat_cells, flat_before, flat_after = cells.reshape(-1), before.reshape(-1), after.reshape(-1)
     paths, shares, mixture = np.zeros((w, 8), np.float32), np.empty((w, 2), np.float32), np.empty((w, 4), np.float32)
+    places, across = np.empty(w, np.int64), np.empty(w, np.float32)
+    for x in range(w):
+        left, _, across[x] = between_cells(x, size, cells.shape[1])
+        places[x] = 8 * left
     for y in range(y0, y1):
-        find_row(flat_cells, cells.shape[0], cells.shape[1], size, y, paths)
+        find_row(flat_cells, cells.shape[0], cells.shape[1], size, y, places, across, paths)
         if masked:
             weigh_known_row(paths, known_before, known_after, y, time, shares)
         sample_row(flat_before, flat_after, h, y, paths, masked, time, shares, dim, colour[y])
