@@ -337,13 +337,13 @@ __device__ inline Path chosen_at(const Toned& toned, const View& own, const View
     return taken;
 }
 
-// The path of each cell. Most keep their own; a block lists the others among its 32x8 cells.
-extern "C" __global__ void __launch_bounds__(256) interpolate_choose(View before, View after, View own, View sides,
-                                                                     View depths, View noise, View scale, View cells) {
-    __shared__ int listed[256], count;
+// Cells that keep their own path, and a list of the others, as indices count[0] of them, which begins as 0.
+extern "C" __global__ void __launch_bounds__(256) interpolate_list(View own, View scale, View count, View list,
+                                                                   View cells) {
+    __shared__ int listed[256], known, first;
     const int rows = own.size[0], columns = own.size[1];
     const int x = 32 * blockIdx.x + threadIdx.x % 32, y = 8 * blockIdx.y + threadIdx.x / 32, cell = y * columns + x;
-    if (threadIdx.x == 0) count = 0;
+    if (threadIdx.x == 0) known = 0;
     __syncthreads();
     if (y < rows && x < columns) {
         const Path mine = path_of(own, cell);
@@ -351,13 +351,24 @@ extern "C" __global__ void __launch_bounds__(256) interpolate_choose(View before
         if (is_alone(own, y, x, mine) || (mine.first + mine.last == 2.0f && is_turning(own, y, x, scale.at[0])))
             put_path(cells, cell, mine);
         else
-            listed[atomicAdd(&count, 1)] = cell;
+            listed[atomicAdd(&known, 1)] = cell;
     }
     __syncthreads();
+    if (threadIdx.x == 0) first = atomicAdd(reinterpret_cast<int*>(count.at), known);
+    __syncthreads();
+    if (int(threadIdx.x) < known) reinterpret_cast<int*>(list.at)[first + threadIdx.x] = listed[threadIdx.x];
+}
+
+// The paths of the listed cells.
+extern "C" __global__ void __launch_bounds__(256) interpolate_choose(View before, View after, View own, View sides,
+                                                                     View depths, View noise, View scale, View count,
+                                                                     View list, View cells) {
     const Toned toned = toned_of(before, after);
-    for (int k = threadIdx.x / 8; k < count; k += 32) {
-        const Path path = chosen_at(toned, own, sides, depths, listed[k], noise.at[0], scale.at[0]);
-        if (threadIdx.x % 8 == 0) put_path(cells, listed[k], path);
+    const int all = *reinterpret_cast<const int*>(count.at), groups = blockDim.x / 8;
+    for (int k = groups * blockIdx.y + threadIdx.x / 8; k < all; k += groups * gridDim.y) {
+        const int cell = reinterpret_cast<const int*>(list.at)[k];
+        const Path path = chosen_at(toned, own, sides, depths, cell, noise.at[0], scale.at[0]);
+        if (threadIdx.x % 8 == 0) put_path(cells, cell, path);
     }
 }
 

@@ -31,7 +31,7 @@ NEEDED = (Role.COLOUR, Role.DEPTH, Role.MOTION)
 TAKEN = (Role.NORMAL,)
 """Planes beside these that new frames may have."""
 PARTS = 132
-"""Blocks that sum up light."""
+"""Blocks that sum up light: as many as an H100 has multiprocessors."""
 FACTS = 9
 """Numbers of `facts`: whether motion of the frame before is known, four that its jitter adds to the ends of a frame's
 paths, and four that both frames' jitter takes off them."""
@@ -77,17 +77,18 @@ LEAD_AHEAD = _kernel("lead_ahead", "ahead:motion motion:motion depth_before:dept
 MISFITS = _kernel("misfits", "before:toned after:toned ends:ends seen:depth scale:number", "found:misfits",
                   Blocks(1, 256, columns=32))
 NOISE = _kernel("noise", "found:misfits", "noise:number", Blocks(1, 1024))
-CLEAR = _kernel("clear", "", "nearest:nearest sums:arrived")
+CLEAR = _kernel("clear", "", "nearest:nearest count:number sums:arrived")
 NEAREST = _kernel("nearest", "ends_before:ends bend_before:motion depth_before:depth ends_after:ends bend_after:motion "
                   "depth_after:depth time:number nearest:nearest", "nearest:nearest")
 MEANS = _kernel("means", "ends_before:ends bend_before:motion depth_before:depth seen_before:depth ends_after:ends "
                 "bend_after:motion depth_after:depth seen_after:depth time:number nearest:nearest sums:arrived",
-                "sums:arrived", Blocks(32, 256, columns=32))
+                "sums:arrived", Blocks(16, 256, columns=32))
 MERGE = _kernel("merge", "nearest:nearest sums:arrived facts:facts scale:number",
                 "sides:cells depths:motion own:cells")
 FILL = _kernel("fill", "depths:motion own:cells", "own:cells")
-CHOOSE = _kernel("choose", "before:toned after:toned own:cells sides:cells depths:motion noise:number scale:number",
-                 "cells:cells", _TILES)
+LIST = _kernel("list", "own:cells scale:number count:number", "count:number list:depth cells:cells", _TILES)
+CHOOSE = _kernel("choose", "before:toned after:toned own:cells sides:cells depths:motion noise:number scale:number "
+                 "count:number list:depth cells:cells", "cells:cells", Blocks(1, 256, most=4 * PARTS))
 DETAIL = _kernel("detail", "before:toned after:toned noise:number scale:number cells:cells", "cells:cells", _TILES)
 _COMPOSED = "cells:cells before:held after:held time:number level:number scale:number shares:two"
 COMPOSE = _kernel("compose", _COMPOSED, "motion:pixel_motion depth:pixel_depth colour:colour", _TILES)
@@ -124,12 +125,13 @@ PAIR: Steps = (
 _COMPOSED_OF = "chosen before.held after.held time level scale shares new.motion new.depth"
 _SIDES = ("ends_before bend_before before.cell_depth", "ends_after bend_after after.cell_depth")
 FRAME: Steps = (
-    (_step(CLEAR, "nearest arrived"),),
+    (_step(CLEAR, "nearest listed arrived"),),
     (_step(NEAREST, f"{_SIDES[0]} {_SIDES[1]} time nearest"),),
     (_step(MEANS, f"{_SIDES[0]} seen_before {_SIDES[1]} seen_after time nearest arrived"),),
     (_step(MERGE, "nearest arrived facts_after scale sides depths own"),),
     (_step(FILL, "depths own"),),
-    (_step(CHOOSE, "toned_before toned_after own sides depths noise scale chosen"),),
+    (_step(LIST, "own scale listed list chosen"),),
+    (_step(CHOOSE, "toned_before toned_after own sides depths noise scale listed list chosen"),),
     (_step(DETAIL, "toned_before toned_after noise scale chosen"),))
 PICTURE: Steps = ((_step(COMPOSE, f"{_COMPOSED_OF} new.colour"),),)
 WITH_PLANES: Steps = ((_step(COMPOSE_ALL, f"{_COMPOSED_OF} paths led new.colour"),),)

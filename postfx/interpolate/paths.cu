@@ -235,9 +235,11 @@ extern "C" __global__ void interpolate_lead_ahead(View ahead, View motion, View 
 }
 
 // What arrives at each cell at time[0], of both frames' paths, one below the other: least depth (2 rows, columns, 1),
-// then sums (2 rows, columns, 8) of the nearest surface's paths: to both frames, seen, weight. They begin as FAR and 0.
-extern "C" __global__ void interpolate_clear(View nearest, View sums) {
+// then sums (2 rows, columns, 8) of the nearest surface's paths: to both frames, seen, weight. They begin as FAR and 0,
+// as does the count of cells for which a path is chosen.
+extern "C" __global__ void interpolate_clear(View nearest, View count, View sums) {
     PIXEL(sums.size[1], sums.size[0]);
+    if (x + y == 0) count.at[0] = 0.0f;
     const size_t cell = size_t(y) * sums.size[1] + x;
     nearest.at[cell] = FAR;
     four(sums, 2 * cell) = four(sums, 2 * cell + 1) = {0.0f, 0.0f, 0.0f, 0.0f};
@@ -316,7 +318,7 @@ __device__ inline void put_down(const View& sums, int cell, const Arriving& sum)
 }
 
 // What neighbours bring to one cell is summed up before: a warp makes 32 columns of STEPS_DOWN rows, downwards.
-const int STEPS_DOWN = 4;
+const int STEPS_DOWN = 2;
 
 extern "C" __global__ void __launch_bounds__(256) interpolate_means(
     View ends_before, View bend_before, View depth_before, View seen_before, View ends_after, View bend_after,
