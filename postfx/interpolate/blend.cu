@@ -280,16 +280,19 @@ struct Results {
     View motion, depth, paths, led, colour;
 };
 
+__device__ inline void put_colour(float* to, const Colour& colour) {
+    to[0] = colour.r, to[1] = colour.g, to[2] = colour.b;
+}
+
+// All but the colour.
 template <bool ALL>
-__device__ inline void put_pixel(const Mixed& of, const Made& made, const View& shares, const Results& to, int y,
+__device__ inline void put_planes(const Mixed& of, const Made& made, const View& shares, const Results& to, int y,
                                  int x) {
     const int h = to.colour.size[0], w = to.colour.size[1];
     const Path& path = made.path;
     const Four ends = {path.ax, path.ay, path.bx, path.by};
     const size_t pixel = size_t(y) * w + x;
     const Taken taken = taken_at(ends, made.led, h, w, y, x);
-    float* const colour = to.colour.at + 3 * pixel;
-    colour[0] = made.colour.r, colour[1] = made.colour.g, colour[2] = made.colour.b;
     const float by_first = shares.at[0], by_last = shares.at[1];
     pair(to.motion, pixel) = {by_first * path.ax + by_last * path.bx, by_first * path.ay + by_last * path.by};
     to.depth.at[pixel] = (taken.is_first ? of.before.at : of.after.at)[4 * taken.pixel + 3];
@@ -303,23 +306,33 @@ __device__ inline void put_pixel(const Mixed& of, const Made& made, const View& 
 template <bool ALL>
 __device__ inline void compose(const Mixed& of, const View& scale, const View& shares, const Results& to) {
     __shared__ int listed[256], count;
-    const int h = to.colour.size[0], w = to.colour.size[1];
-    const int x = 32 * blockIdx.x + threadIdx.x % 32, y = 8 * blockIdx.y + threadIdx.x / 32;
+    __shared__ float colours[8][96];
+    const int h = to.colour.size[0], w = to.colour.size[1], left = 32 * blockIdx.x, lane = threadIdx.x % 32;
+    const int x = left + lane, y = 8 * blockIdx.y + threadIdx.x / 32;
+    float* const row = colours[threadIdx.x / 32];
     if (threadIdx.x == 0) count = 0;
     __syncthreads();
     if (y < h && x < w) {
         const Around around = around_of(of.cells, scale.at[0], y, x);
-        if (of.cells.at[8 * size_t(around.places[0]) + 7] > 0.0f)
-            put_pixel<ALL>(of, joined_pixel(of, around, y, x), shares, to, y, x);
-        else
+        if (of.cells.at[8 * size_t(around.places[0]) + 7] > 0.0f) {
+            const Made made = joined_pixel(of, around, y, x);
+            put_colour(row + 3 * lane, made.colour);
+            put_planes<ALL>(of, made, shares, to, y, x);
+        } else {
             listed[atomicAdd(&count, 1)] = y * w + x;
+        }
     }
+    __syncwarp();
+    if (y < h)  // neighbouring lanes write neighbouring floats; listed pixels are written once more
+        for (int i = lane; i < 3 * min(32, w - left); i += 32) to.colour.at[3 * (size_t(y) * w + left) + i] = row[i];
     __syncthreads();
     for (int k = threadIdx.x / 4; k < count; k += 64) {
         const int j = listed[k] / w, i = listed[k] - j * w;
         int best;
         const Made made = mixed_pixel(of, around_of(of.cells, scale.at[0], j, i), j, i, best);
-        if (int(threadIdx.x % 4) == best) put_pixel<ALL>(of, made, shares, to, j, i);
+        if (int(threadIdx.x % 4) != best) continue;
+        put_colour(to.colour.at + 3 * (size_t(j) * w + i), made.colour);
+        put_planes<ALL>(of, made, shares, to, j, i);
     }
 }
 
