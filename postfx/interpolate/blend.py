@@ -170,11 +170,18 @@ def between_cells(position: int, size: Real, count: int) -> tuple[int, int, Real
 
 
 @uncounted
+def place_row(columns: int, size: Real, places: np.ndarray, across: np.ndarray) -> None:
+    """Places of the cells before the pixels of a row (w,) in a row of cells, and how far the pixels lie after them."""
+    for x in range(places.size):
+        left, _, across[x] = between_cells(x, size, columns)
+        places[x] = 8 * left
+
+
+@uncounted
 def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, places: np.ndarray, across: np.ndarray,
              paths: np.ndarray) -> None:
     """Paths (w, 8) of a row of pixels between four cells that are joined. The last number is 0 where they are not, and
-    the others are left. cells: flat. size: cells of a pixel. places, across (w,): of the cells before pixels, and how
-    far these lie after them."""
+    the others are left. cells: flat. size: cells of a pixel. places, across: as `place_row` leaves them."""
     top, low, down = between_cells(y, size, rows)
     flat, upper_row, lower_row, last = paths.reshape(-1), 8 * top * columns, 8 * low * columns, 8 * (columns - 1)
     for x in range(paths.shape[0]):
@@ -426,9 +433,7 @@ def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray,
     flat_cells, flat_before, flat_after = cells.reshape(-1), before.reshape(-1), after.reshape(-1)
     paths, shares, mixture = np.zeros((w, 8), np.float32), np.empty((w, 2), np.float32), np.empty((w, 4), np.float32)
     places, across = np.empty(w, np.int64), np.empty(w, np.float32)
-    for x in range(w):
-        left, _, across[x] = between_cells(x, size, cells.shape[1])
-        places[x] = 8 * left
+    place_row(cells.shape[1], size, places, across)
     for y in range(y0, y1):
         find_row(flat_cells, cells.shape[0], cells.shape[1], size, y, places, across, paths)
         if masked:

@@ -81,10 +81,13 @@ def assert_alike(found: dict[Role, np.ndarray], wanted: Frame) -> None:
 
 
 def follow(device: Device, frames: list[Frame], t: float, previous: float) -> None:
-    """Every frame between, on the device and on the CPU."""
+    """Every frame between, on the device and on the CPU; arrays that were pushed change, but for normals."""
     stream, wanted = DeviceInterpolator(device), Interpolator(flow=False)
     for number, frame in enumerate(frames):
-        stream.push(planes_of(frame), jitter=frame.jitter, reset=frame.reset)
+        planes = {role: plane.copy() for role, plane in planes_of(frame).items()}
+        stream.push(planes, jitter=frame.jitter, reset=frame.reset)
+        for role in planes.keys() - {Role.NORMAL}:
+            planes[role][:] = np.nan
         wanted.push(frame)
         assert stream.ready == (number > 0)
         if number:
