@@ -145,7 +145,7 @@ def _picture(frame: Frame) -> Picture | None:
     if rows * columns < LEAST_COMPARED:
         return None
     halves = np.empty((2, rows, columns))
-    share(lambda first, last: half_means(first, last, colour, block, halves), rows, colour.nbytes)
+    share(half_means, rows, colour, np.array([block]), halves)
     mean = np.sqrt(halves).mean() ** 2
     light = np.log2(halves + (FLOOR * mean or 1.0))
     guides = {role: _cells(frame[role], block) for role in (Role.DIFFUSE_ALBEDO, Role.NORMAL) if role in frame}

@@ -10,7 +10,7 @@ import numpy as np
 
 from postfx.errors import OptionError
 from postfx.frame import Frame, Role
-from postfx.kernels.statistics import INFINITY_BITS, WORTH, largest_bits, share
+from postfx.kernels.statistics import INFINITY_BITS, WORTH, largest_bits_of_rows, share
 from postfx.system import Scratch
 
 KNOWN = 0.75
@@ -55,19 +55,17 @@ def is_unusable(frame: Frame, counts: dict[Role, int]) -> bool:
 
 def find_nonfinite(planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> dict[Role, np.ndarray]:
     """Role -> (height, width) bool: pixels of planes (height, width, C) that are not finite, for planes with any."""
-    bands = [(role, band) for role, plane in planes.items() for band in _bands(plane, None)]
-    found: set[Role] = set()
-
-    def look(first: int, last: int) -> None:
-        for role, band in bands[first:last]:
-            most = INFINITY_BITS if role is Role.DEPTH else INFINITY_BITS - np.uint32(1)
-            if role not in found and largest_bits(band.view(np.uint32).reshape(-1)) > most:
-                found.add(role)
-            if scratch:
-                scratch.relax()
-
-    share(look, len(bands), sum(plane.nbytes for plane in planes.values()))
-    return {role: _nonfinite(plane, role, scratch) for role, plane in planes.items() if role in found}
+    found = []
+    for role, plane in planes.items():
+        most = INFINITY_BITS if role is Role.DEPTH else INFINITY_BITS - np.uint32(1)
+        for band in _bands(plane, scratch) if scratch else [plane]:
+            rows = band.view(np.uint32).reshape(len(band), -1)
+            largest = np.empty(len(rows), np.uint32)
+            share(largest_bits_of_rows, len(rows), rows, largest)
+            if largest.max() > most:
+                found.append(role)
+                break
+    return {role: _nonfinite(planes[role], role, scratch) for role in found}
 
 
 def _nonfinite(plane: np.ndarray, role: Role, scratch: Scratch | None) -> np.ndarray:

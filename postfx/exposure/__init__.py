@@ -51,7 +51,7 @@ def measure(colour: np.ndarray) -> float | None:
     height, width = colour.shape[:2]
     block = max(BLOCK, math.ceil(max(height, width) / MOST_BLOCKS))
     means = np.empty((math.ceil(height / block), math.ceil(width / block)))
-    share(lambda first, last: block_means(first, last, colour, block, means), len(means), colour.nbytes)
+    share(block_means, len(means), colour, np.array([block]), means)
     light = means[means > BLACK]
     if light.size == 0:
         return None

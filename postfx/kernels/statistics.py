@@ -14,6 +14,7 @@ from contextvars import ContextVar
 
 import numpy as np
 
+from postfx.kernels.native import bind_rows
 from postfx.kernels.numeric import Real, add, compiled, inline, vectorised
 
 INFINITY_BITS = np.uint32(0x7F800000)
@@ -21,12 +22,12 @@ INFINITY_BITS = np.uint32(0x7F800000)
 WORTH = 1 << 20
 """Bytes to look at or to copy that are worth another thread."""
 
-Rows = Callable[[int, int], None]
-_lent: ContextVar[Callable[[Rows, int], None] | None] = ContextVar("divide", default=None)
+Divide = Callable[[Callable[[int, int], None], int], None]
+_lent: ContextVar[Divide | None] = ContextVar("divide", default=None)
 
 
 @contextmanager
-def lend(divide: Callable[[Rows, int], None] | None) -> Iterator[None]:
+def lend(divide: Divide | None) -> Iterator[None]:
     """Let `share` divide work by `divide(rows, count)`, which runs `rows(first, last)` in several threads."""
     token = _lent.set(divide)
     try:
@@ -35,13 +36,27 @@ def lend(divide: Callable[[Rows, int], None] | None) -> Iterator[None]:
         _lent.reset(token)
 
 
-def share(rows: Rows, count: int, nbytes: int) -> None:
-    """Run `rows(first, last)` over rows 0 to count - 1, which are `nbytes` bytes, on the threads that are lent."""
+def share(rows: Callable[..., None], count: int, *arrays: np.ndarray) -> None:
+    """Run compiled `rows(first, last, *arrays)` over rows 0 to count - 1, on the threads that are lent if it is worth
+    that. The first array is by far the largest."""
     divide = _lent.get()
-    if divide is None or nbytes < 2 * WORTH:
-        rows(0, count)
+    if divide is None or arrays[0].nbytes < 2 * WORTH:
+        rows(0, count, *arrays)
     else:
-        divide(rows, count)
+        divide(bind_rows(rows, arrays), count)
+
+
+@compiled
+def copy(source: np.ndarray, target: np.ndarray) -> None:
+    for i in range(target.size):
+        target[i] = source[i]
+
+
+@compiled
+def copy_pieces(first: int, last: int, source: np.ndarray, target: np.ndarray) -> None:
+    """Copy pieces of `WORTH` bytes of flat uint32, the last of which may be smaller."""
+    begin, end = first * (WORTH // 4), min(last * (WORTH // 4), target.size)
+    copy(source[begin:end], target[begin:end])
 
 
 @compiled
@@ -51,6 +66,13 @@ def largest_bits(flat: np.ndarray) -> Real:
     for i in range(flat.size):
         largest = max(largest, flat[i] & np.uint32(0x7FFFFFFF))
     return largest
+
+
+@compiled
+def largest_bits_of_rows(first: int, last: int, rows: np.ndarray, largest: np.ndarray) -> None:
+    """The same of each of some rows (count, n) uint32 -> (count,)."""
+    for y in range(first, last):
+        largest[y] = largest_bits(rows[y])
 
 
 @compiled
@@ -86,14 +108,14 @@ def leave_out(row: np.ndarray, block: int, count: np.ndarray) -> None:
 
 
 @compiled
-def block_means(first: int, last: int, colour: np.ndarray, block: int, means: np.ndarray) -> None:
-    """Mean luminance of each block x block pixels without the brightest, in some rows; colour (h, w, 3) -> means (rows,
-    columns).
+def block_means(first: int, last: int, colour: np.ndarray, side: np.ndarray, means: np.ndarray) -> None:
+    """Mean luminance of each block of `side` (1,) x side pixels without the brightest, in some rows; colour (h, w, 3)
+    -> means (rows, columns).
 
     Non-finite pixels are left out, negative ones count as 0. Averaging keeps the noise of one sample a pixel out of
     the logarithm that follows, which would read it as darkness; without the brightest pixel a firefly is no light.
     """
-    height, width, columns = colour.shape[0], colour.shape[1], means.shape[1]
+    height, width, columns, block = colour.shape[0], colour.shape[1], means.shape[1], side[0]
     light, total, brightest = np.empty(width), np.empty(columns), np.empty(columns)
     count = np.empty(columns, np.int64)
     for j in range(first, last):
@@ -111,13 +133,14 @@ def block_means(first: int, last: int, colour: np.ndarray, block: int, means: np
 
 
 @compiled
-def half_means(first: int, last: int, colour: np.ndarray, block: int, means: np.ndarray) -> None:
-    """Mean luminance of the two halves of each whole block in some rows; colour (h, w, 3) -> means (2, rows, columns).
+def half_means(first: int, last: int, colour: np.ndarray, side: np.ndarray, means: np.ndarray) -> None:
+    """Mean luminance of the two halves of each whole block of `side` (1,) x side pixels in some rows; colour (h, w, 3)
+    -> means (2, rows, columns).
 
     The halves are the even and the odd rows, so they show the same with other noise. The brightest pixel of each is
     left out, as by `block_means`; pixels that are not finite and negative ones count as 0.
     """
-    width, columns = colour.shape[1], means.shape[2]
+    width, columns, block = colour.shape[1], means.shape[2], side[0]
     light, total, brightest = np.empty(width), np.empty((2, columns)), np.empty((2, columns))
     for j in range(first, last):
         total[:], brightest[:] = 0.0, 0.0

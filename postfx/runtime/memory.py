@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from postfx.kernels.statistics import WORTH, share
+from postfx.kernels.statistics import WORTH, copy_pieces, share
 from postfx.system import Scratch
 
 T = TypeVar("T")
@@ -201,12 +201,11 @@ class HostMemory(Immediate):
 
     def copy(self, target: int, source: int, nbytes: int) -> None:
         """Copy bytes that do not overlap."""
-
-        def copy_pieces(first: int, last: int) -> None:
-            begin, end = first * WORTH, min(last * WORTH, nbytes)
-            ctypes.memmove(target + begin, source + begin, end - begin)
-
-        share(copy_pieces, math.ceil(nbytes / WORTH), nbytes)
+        if nbytes < 2 * WORTH or nbytes % 4:
+            ctypes.memmove(target, source, nbytes)
+            return
+        views = (view_at(pointer, (nbytes // 4,), np.dtype(np.uint32), None) for pointer in (source, target))
+        share(copy_pieces, math.ceil(nbytes / WORTH), *views)
 
 
 MOST_SPARE = 2

@@ -2,9 +2,12 @@
 
 Waking a thread takes longer than many kernels run. So a helper that is done spins for some microseconds, without the
 interpreter's lock, before it goes to sleep, and a thread that waits for helpers does the same. Compiled rows are begun
-and ended without that lock, too: with sixteen threads they would wait for it longer than they run. Each helper has a
-row of ``board`` (n, LINE) of int64, a cache line: its flag, ``AWAY``, ``WAITING`` or ``BUSY``, and what to run: the
-``ENTRY`` and the ``WORDS`` of compiled rows (`postfx.kernels.native.BoundRows`), or ``PYTHON``.
+and ended without that lock, too: with sixteen threads they would wait for it longer than they run.
+
+Each helper has a row of ``board`` (n, LINE) of int64, a cache line: its flag, and what to run: the ``ENTRY`` and the
+``WORDS`` of compiled rows (`postfx.kernels.native.BoundRows`), or ``PYTHON``. A helper that is ``WAITING`` spins; then
+it is ``DOZING`` for a while, asleep where one call of Linux wakes it; then ``AWAY``, for Python to start it again. That
+takes so long that, of sixteen threads, the first would be away again before the last is back, kernel after kernel.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import atexit
 import platform
 import queue
+import sys
 import threading
 import time
 import weakref
@@ -31,13 +35,17 @@ LOOK = 100e-6
 DELAY = 5e-6
 """Seconds after which a helper takes the interpreter's lock: by then the thread that gave it a band has released it."""
 NAP = 20e-6
-AWAY, WAITING, BUSY = range(3)
-FLAG, ENTRY, WORDS, STATUS = range(4)
+NAPS, NANOSECONDS = 5, 20_000_000
+"""A helper dozes so many times so long before it is away. A program that ends waits for that."""
+AWAY, WAITING, DOZING, BUSY = range(4)
+FLAG, ENTRY, WORDS, STATUS, TIMEOUT = range(5)
 LINE = 8
+FUTEX, FUTEX_WAIT, FUTEX_WAKE = {"x86_64": 202, "aarch64": 98}, 128, 129
+"""Linux's system call by processor, and its private operations (futex(2))."""
 PYTHON = -1
 """In place of an entry: a band that is a function of Python's."""
 ASLEEP = 2
-"""Status of a band whose helper is to be woken."""
+"""Status of a band whose helper is away and to be started."""
 NONE = -2
 """What Numba's functions return where they end without a value."""
 SAMPLE = 2000
@@ -132,6 +140,7 @@ class Helpers:
     def __init__(self, count: int) -> None:
         self._pool = ThreadPoolExecutor(count, thread_name_prefix="postfx band")
         self._board = np.zeros((count, LINE), np.int64)
+        self._board[:, TIMEOUT + 1] = NANOSECONDS
         self._bands: list[Band | None] = [None] * count
         self._failures: list[BaseException | None] = [None] * count
         self._looks, self._delay = pauses_in(LOOK), pauses_in(DELAY)
@@ -212,6 +221,23 @@ def replace_flag(typingctx: Any, board: Any, i: Any, known: Any, new: Any) -> An
 
 
 @intrinsic
+def futex(typingctx: Any, board: Any, i: Any, operation: Any, value: Any) -> Any:
+    """Linux's call on the flag of row i, with the row's timeout; -1 at once on other systems."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        word, number = ir.IntType(64), FUTEX.get(platform.machine()) if sys.platform == "linux" else None
+        if number is None:
+            return word(-1)
+        place = _place(context, builder, signature, arguments)
+        call = builder.module.globals.get("syscall") or ir.Function(
+            builder.module, ir.FunctionType(word, [word], var_arg=True), "syscall")
+        return builder.call(call, [word(number), place, arguments[2], arguments[3],
+                                   builder.gep(place, [word(TIMEOUT)]), word(0), word(0)])
+
+    return types.int64(board, i, types.int64, types.int64), generate
+
+
+@intrinsic
 def call_entry(typingctx: Any, entry: Any, words: Any) -> Any:
     """Call `int entry(const int64_t *words, void *)`, given both addresses."""
 
@@ -275,14 +301,20 @@ def run_entry(entry: int, words: int) -> int:
 
 @compiled
 def is_taken(board: np.ndarray, i: int, entry: int, words: int) -> bool:
-    """Hand a helper its next band; False if it sleeps."""
+    """Hand a helper its next band; False if it is away."""
     board[i, ENTRY], board[i, WORDS], board[i, STATUS] = entry, words, 0
-    return bool(replace_flag(board, i, WAITING, BUSY) or not replace_flag(board, i, AWAY, BUSY))
+    if replace_flag(board, i, WAITING, BUSY):
+        return True
+    if replace_flag(board, i, DOZING, BUSY):
+        futex(board, i, FUTEX_WAKE, 1)
+        return True
+    replace_flag(board, i, AWAY, BUSY)
+    return False
 
 
 @compiled
 def hand_out(board: np.ndarray, entry: int, words: int, size: int, bands: int) -> bool:
-    """Hand helpers the bands from the second on, each with its `size` words; whether any is asleep."""
+    """Hand helpers the bands from the second on, each with its `size` words; whether any is away."""
     some = False
     for i in range(bands - 1):
         if not is_taken(board, i, entry, words + 8 * size * (i + 1)):
@@ -297,16 +329,31 @@ def report(board: np.ndarray, i: int) -> None:
 
 
 @compiled
+def has_gone(board: np.ndarray, i: int) -> bool:
+    """Let a helper doze until it is called; True if it is not, and away from now on."""
+    last = WAITING
+    if futex(board, i, FUTEX_WAKE, 0) == 0 and replace_flag(board, i, WAITING, DOZING):
+        last = DOZING
+        for _ in range(NAPS):
+            futex(board, i, FUTEX_WAIT, DOZING)
+            if load_flag(board, i) != DOZING:
+                return False
+    return bool(replace_flag(board, i, last, AWAY))
+
+
+@compiled
 def is_called(board: np.ndarray, i: int, looks: int, delay: int) -> bool:
     """Work on a helper's bands as they come.
 
     True if one came that is Python's, after `delay` pauses in which the thread that gave it can release the
-    interpreter's lock; False if none came for long and the helper goes to sleep.
+    interpreter's lock; False if none came for long and the helper is away.
     """
     left = looks
-    while left > 0 or not replace_flag(board, i, WAITING, AWAY):
+    while True:
         if load_flag(board, i) != BUSY:
-            left -= 1
+            if left == 0 and has_gone(board, i):
+                return False
+            left = max(left - 1, 0)
             pause()
             continue
         if board[i, ENTRY] == PYTHON:
@@ -315,7 +362,6 @@ def is_called(board: np.ndarray, i: int, looks: int, delay: int) -> bool:
         board[i, STATUS] = run_entry(board[i, ENTRY], board[i, WORDS])
         report(board, i)
         left = looks
-    return False
 
 
 @compiled

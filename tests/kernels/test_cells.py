@@ -48,7 +48,7 @@ def test_block_means(size: tuple[int, int]) -> None:
     colour, found = bad_colours(*size), np.empty([-(-side // 4) for side in size])
     middle = len(found) // 2
     for rows in ((0, middle), (middle, len(found))):
-        block_means(*rows, colour, 4, found)
+        block_means(*rows, colour, np.array([4]), found)
     for y, x in np.ndindex(found.shape):
         light = light_of(colour[4 * y:4 * y + 4, 4 * x:4 * x + 4]).ravel()
         light = np.sort(np.maximum(light[np.isfinite(light)], 0))
@@ -59,7 +59,7 @@ def test_block_means(size: tuple[int, int]) -> None:
 def test_means_of_even_and_odd_rows(block: int) -> None:
     colour, found = bad_colours(11, 15), np.empty((2, 11 // block, 15 // block))
     for rows in ((0, 1), (1, found.shape[1])):
-        half_means(*rows, colour, block, found)
+        half_means(*rows, colour, np.array([block]), found)
     for half, y, x in np.ndindex(found.shape):
         light = light_of(colour[y * block:(y + 1) * block, x * block:(x + 1) * block][half::2]).ravel()
         light = np.sort(np.maximum(np.where(np.isfinite(light), light, 0), 0))

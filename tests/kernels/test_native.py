@@ -15,7 +15,7 @@ WANTED = {
     "postfx.kernels.pixel_formats.predict_bytes": [["|u1:1", "|u1:1"], ["|u1:1r", "|u1:1"]],
     "postfx.kernels.pixel_formats.dither_rows": [["<f4:2", "f", "<f4:2", "|u1:2"]],
     "postfx.kernels.statistics.largest_bits": [["<u4:1"]],
-    "postfx.kernels.statistics.block_means": [["q", "q", "<f4:3", "q", "<f8:2"]],
+    "postfx.kernels.statistics.block_means": [["q", "q", "<f4:3", "<i8:1", "<f8:2"]],
     "postfx.kernels.image.resample_rows": [["q", "q", "<f4:3", "<f4:1", "<f4:1", "<f4:3"]],
     "postfx.runtime.threads.is_called": [["<i8:2", "q", "q", "q"]],
     "postfx.runtime.threads.hand_out": [["<i8:2", "q", "q", "q", "q"]],
@@ -59,7 +59,8 @@ def results(call):
     flat, grey = light.reshape(40, 144), np.full((64, 64), 0.5, np.float32)
     found = [call(predict_bytes, values, bytes_of), bytes_of.copy(), call(predict_bytes, fixed, bytes_of), bytes_of,
              call(dither_rows, flat, np.float32(255), grey, codes), codes,
-             call(largest_bits, light.ravel().view(np.uint32)), call(block_means, 0, 5, light, 8, means), means,
+             call(largest_bits, light.ravel().view(np.uint32)),
+             call(block_means, 0, 5, light, np.array([8]), means), means,
              call(are_done, np.zeros((2, 8), np.int64), 1, 10),
              call(resample_rows, 0, 17, light, np.arange(17.0, dtype="f"), np.arange(31.0, dtype="f"), small), small]
     return found
