@@ -5,9 +5,10 @@ python samples/scene_network.py [PICTURE] [--models FOLDER] [--noisy PATTERN --r
 The networks are those of `python -m training.scene_network`: shading.onnx from planes alone, temporal.onnx from planes
 and its state of the frame before, and amplifier.onnx from planes and one sample a pixel. On a sequence: PSNR after
 x/(1+x) and the sRGB curve, and flicker, also of temporal.onnx without history. On held-out views, by `python -m
-training.datagen.make_sample views`: PSNR, as it is and without the noise of the reference, which its two halves tell;
-and how many samples a pixel have the error of amplifier.onnx, by a stack of independent one-sample images. Prints
-milliseconds a frame; draws frames. Needs matplotlib, postfx-render[bench].
+training.datagen.make_sample views`: PSNR, as it is and without the noise of the reference, which its two halves tell,
+also of the mean of what shading.onnx makes of planes through several positions in the pixel; and how many samples a
+pixel have the error of amplifier.onnx, by a stack of independent one-sample images. Prints milliseconds a frame; draws
+frames. Needs matplotlib, postfx-render[bench].
 """
 import argparse
 import statistics
@@ -145,6 +146,11 @@ for path in views:
             pictures += [("held-out view: reference", truth)] * (way == ways[0])
             pictures += [("one sample a pixel", view["colour"][0])] * (kind == "amplifier")
             pictures += [(f"{way}, {decibels(errors[way][-1]):.1f} dB", results[0])] * ("no" not in way)
+    if "pass_depth" in view and "shading" in ways:
+        passes = [{name[5:]: view[name][k] for name in view if name.startswith("pass_")}
+                  for k in range(len(view["pass_depth"]))]
+        found = np.mean([shaders["shading"](planes) for planes in passes], 0)
+        errors.setdefault(f"shading, {len(passes)} planes", []).append(error_of(found, truth))
     if "means" in view and "amplifier" in errors:  # where the error of the mean of n images is that of the amplifier
         curve = np.array([error_of(mean, truth) - noises[-1] for mean in view["means"].astype(np.float32)])
         own = errors["amplifier"][-1] - noises[-1]
@@ -157,10 +163,11 @@ for path in views:
 if views:
     noise = float(np.mean(noises))
     print(f"{len(views)} held-out views of {size[1]}x{size[0]}; the references' noise is {decibels(noise):.1f} dB")
-    for way in ways:
-        found = np.array(errors[way])
+    for way, of_views in errors.items():
+        found = np.array(of_views)
         print(f"{way:22} {decibels(found.mean()):6.2f} dB, without the noise {decibels(found.mean() - noise):6.2f}; "
-              f"views from {decibels(found.max()):.2f} to {decibels(found.min()):.2f}")
+              f"views from {decibels(found.max()):.2f} to {decibels(found.min()):.2f}, "
+              f"their mean {np.mean([decibels(one) for one in of_views]):.2f}")
     for kind, shader in shaders.items():
         print(f"{kind}: {shader.taken:.2f} ms")
 if equals:

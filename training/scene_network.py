@@ -399,9 +399,9 @@ def train(args: argparse.Namespace) -> None:
         if args.start:
             network = load(kind, args.start / f"{kind}.pt")
         else:
-            network = SceneNetwork(kind, *views.box())
-            if kind != "shading" and base.exists():
-                network = begun_with(network, load("shading", base))
+            other = load("shading", base) if kind != "shading" and base.exists() else None
+            network = SceneNetwork(kind, *((other.low, other.high) if other else views.box()))
+            network = begun_with(network, other) if other else network
         began, (share, rate) = time.monotonic(), SHARES[kind]
         network = fit(network, views, args, args.seconds * share, rate)
         print(f"{kind}: {time.monotonic() - began:.0f} s", flush=True)

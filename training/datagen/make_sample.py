@@ -11,9 +11,10 @@ exposure.
 `views` writes view.NNNN.npz to learn from and held.NNNN.npz to measure on, one a camera, each of FRAMES moments while
 the camera and the wheel move: planes (FRAMES, H, W, C) of one sample a pixel, and `camera` (FRAMES, 16), see
 `camera_vector`. Of the last moment there are `colour` (COLOURS, H, W, 3), independent renders of one sample a pixel,
-and `reference_a`, `reference_b` (H, W, 3), the halves of a reference. Held-out ones have more samples, and some of them
-have `means` (P, H, W, 3) of the first `counts` (P,) of a stack of independent one-sample images. Existing files are
-kept, and several processes can share the work.
+and `reference_a`, `reference_b` (H, W, 3), the halves of a reference. Held-out ones have more samples, planes and
+camera through PASSES further positions in the pixel as `pass_` and their names, and some of them have `means`
+(P, H, W, 3) of the first `counts` (P,) of a stack of independent one-sample images. Existing files are kept, and
+several processes can share the work.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from training.datagen.tracing import Tracer
 
 PACKED = "dwab:80"  # lossy, 47 dB PSNR: an error far below the noise; zip takes 2.7 times as much space
-FRAMES, COLOURS = 4, 8
+FRAMES, COLOURS, PASSES = 4, 8, 4
 HELD_OUT = 100_000  # seed of the first held-out view
 FOV = 66.0
 TOGETHER = 16  # one-sample images that are rendered in one go
@@ -122,14 +123,14 @@ def make_views(args: argparse.Namespace) -> None:
     for name, seed, spp, stack in every[part::parts]:
         path = args.out / name
         if not path.exists() and time.monotonic() - began < args.seconds:
-            found = make_view(tracer, built, (args.width, args.height), seed, spp, stack)
+            found = make_view(tracer, built, (args.width, args.height), seed, spp, stack, PASSES * (seed >= HELD_OUT))
             np.savez(path.with_suffix(".partial.npz"), **found)
             path.with_suffix(".partial.npz").replace(path)
             print(f"{path.name}: {time.monotonic() - began:.0f} s", flush=True)
 
 
 def make_view(tracer: Tracer, built: BuiltScene, size: tuple[int, int], seed: int, spp: int,
-              stack: int) -> dict[str, np.ndarray]:
+              stack: int, passes: int) -> dict[str, np.ndarray]:
     """The arrays of a view's file."""
     from training.datagen.clip import Style, film_of, filter_table, plane_images, radical_inverse
     from training.datagen.clip_file import to_half
@@ -142,12 +143,19 @@ def make_view(tracer: Tracer, built: BuiltScene, size: tuple[int, int], seed: in
         pose, step = draw_pose(rng)
         cameras = [Camera(look_at(*(pose + k * step)), FOV) for k in range(-1, FRAMES)]
         start, now, frames = int(rng.integers(64)), float(rng.uniform(0, 8)), []
-        jitter = [[radical_inverse(start + k, 2), radical_inverse(start + k, 3)] for k in range(FRAMES)]
+        jitter = [[radical_inverse(start + k, 2), radical_inverse(start + k, 3)] for k in range(FRAMES + passes)]
         style = Style("realtime", 1, np.array(jitter, np.float32) - 0.5)
         for k in range(FRAMES):
             built.move(now + k, now + k - 1)
             film = film_of(size, style.offsets(k, pixels, rng))
             frames.append(plane_images(tracer, built, (cameras[k + 1], cameras[k]), size, style, film))
+
+    def planes(k: int) -> dict[str, np.ndarray]:
+        """Those of the last moment, through jitter `k`."""
+        film = film_of(size, style.offsets(k, pixels, rng))
+        found = plane_images(tracer, built, (cameras[-1], cameras[-2]), size, style, film)
+        found = {name: image.reshape(height, width, -1) for name, image in found.items()}
+        return found | {"camera": camera_vector(cameras[-1].to_world, FOV, width / height, style.jitter[k])}
 
     def singles(count: int, offsets: np.ndarray) -> np.ndarray:
         """Independent one-sample images (count, H, W, 3)."""
@@ -167,6 +175,8 @@ def make_view(tracer: Tracer, built: BuiltScene, size: tuple[int, int], seed: in
         for n, image in enumerate(singles(TOGETHER, rng.random((pixels, TOGETHER, 2), np.float32)), first + 1):
             total += image
             means += [total / n] if n in counts else []
+    further = [planes(FRAMES + k) for k in range(passes)]
+    made |= {f"pass_{name}": np.float32([one[name] for one in further]) for name in (further[0] if further else ())}
     return made | ({"counts": np.array(counts), "means": np.float32(means)} if stack else {})
 
 
