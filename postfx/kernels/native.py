@@ -248,19 +248,26 @@ class BoundRows:
 
 def _bind_compiled(rows: Any, arrays: Sequence[np.ndarray]) -> BoundRows | None:
     """Rows that Numba compiles, if they need no lock and take contiguous arrays."""
-    kinds = ("q", "q", *kinds_of(arrays))
-    if None in kinds or not getattr(rows, "targetoptions", {}).get("nogil"):
-        return None
-    types = signature(kinds)
-    rows.compile(types)
-    compiled = rows.overloads[types]
-    address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
-    words = [address, 0, 0, 0, 0]  # and of each array: nobody counts who uses it, sizes, address, shape, strides
+    kinds = kinds_of(arrays)
+    address = None if None in kinds or not hasattr(rows, "targetoptions") else _address_of(rows, kinds)
+    words = [address or 0, 0, 0, 0, 0]  # and of each array: nobody counts who uses it, sizes, address, shape, strides
     for array in arrays:
         words += 0, 0, array.size, array.itemsize, array.__array_interface__["data"][0], *array.shape, *array.strides
     if not address or len(words) > MOST_WORDS:
         return None
     return BoundRows(rows.__name__, lambda first, last: rows(first, last, *arrays), 0, words, tuple(arrays))
+
+
+@cache
+def _address_of(rows: Any, kinds: Kinds) -> int | None:
+    """Where rows that Numba compiles for arrays of these kinds lie; None if they need Python's lock."""
+    if not rows.targetoptions.get("nogil"):
+        return None
+    types = signature(("q", "q", *kinds))
+    rows.compile(types)
+    compiled = rows.overloads[types]
+    address: int = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+    return address
 
 
 def kinds_of(arguments: Iterable[Any]) -> Kinds:

@@ -79,11 +79,12 @@ class History:
         self._outputs.reverse()
         self._rooms.reverse()
         self._held.reverse()
-        before, changed, self._size = self._rooms[0].of(self._size), size != self._size, size
-        if not keep or changed:  # nor after a frame that failed
+        old, self._size = self._size, size
+        if not keep or size != old:  # nor after a frame that failed
             self._held = self._anywhere()
-        if not changed:
+        if size == old:
             return
+        before = self._rooms[0].of(old)
         if size[0] * size[1] > self._rooms[0].pixels:
             self._rooms = self._make_rooms()
         else:
