@@ -166,6 +166,8 @@ class Hazards:
         return bool(others) and not any(mask & (1 << count) - 1 for mask in before[count:])
 
     def _check_content(self, footprint: Footprint) -> None:
+        if footprint.filled and not any([allocation.released or allocation.lost for allocation in footprint.users]):
+            return
         for allocation, (tensor, dispatch) in footprint.users.items():
             if allocation.released:
                 raise _released_error(tensor, dispatch)

@@ -245,7 +245,7 @@ class Frames:
         """
         apart = bool(still or band or self._bands or layers or self._reactive) or self.model == CLASSIC
         self._history.turn(commands, (self._sizes.h, self._sizes.w), keep, apart)
-        self._common["params"].upload(params)
+        self._common["params"].put(params)
         if keep != self._kept:
             self._common["keep"].fill(keep)
             self._kept = keep
