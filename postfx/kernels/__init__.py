@@ -5,9 +5,15 @@ other forms are: a portable one in ONNX, and a source for CUDA.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from postfx.system import models_dir
 
@@ -106,3 +112,69 @@ class Kernel:
     def portable(self) -> Path:
         """The file of the portable definition, which may not exist."""
         return (self.home or models_dir() / "kernels") / f"{self.name}.onnx"
+
+
+# Sources of kernels
+
+SOURCES = _PACKAGE
+"""Where our kernels lie, beside the modules that their constants come from."""
+SHARED = SOURCES / "kernels"
+_KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([\w, ]+\) )?(\w+)\(')
+_NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
+_TYPES = {int: "int", np.float64: "double"}
+"""Of constants in CUDA, by that in Python; all others are float."""
+
+
+def find_source(kernel: Kernel) -> Path | None:
+    """The file that holds a kernel; None where it is not written for CUDA."""
+    return _families(kernel.home or SOURCES).get(kernel.name)
+
+
+@cache
+def read_source(family: Path) -> str:
+    """The source that is compiled for a file of kernels: the declaration of arguments, for our own kernels also the
+    constants and the code that all families share, and the file."""
+    view, own = (SHARED / "view.cuh").read_text(), family.read_text()
+    if not family.is_relative_to(SOURCES):
+        return view + own
+    source = (SHARED / "common.cuh").read_text() + own
+    return view + print_constants(constants_of(family, source)) + source
+
+
+@cache
+def convolution_source(warpgroups: bool) -> str:
+    """What is compiled before the kernels of a network's layers."""
+    source = "".join((SHARED / name).read_text() for name in ("common.cuh", "convolution.cuh"))
+    constants = print_constants(constants_of(SHARED / "denoise" / "network_io.cu", source))
+    return "#define WARPGROUPS\n" * warpgroups + (SHARED / "view.cuh").read_text() + constants + source
+
+
+def constants_of(family: Path, source: str) -> dict[str, Any]:
+    """Numbers of Python that a source of ours names, by name: those of the module beside its file, those that the
+    upscaler's kernels share, and those of `postfx.kernels.numeric`. A pair NAME of a low and a high number is NAME_LOW
+    and NAME_HIGH."""
+    own = ".".join(("postfx", *family.relative_to(SOURCES).with_suffix("").parts))
+    known: dict[str, Any] = {}
+    for module in ("postfx.kernels.numeric", "postfx.kernels.denoise", own):
+        known |= vars(import_module(module))
+    pairs = {f"{name}_{end}": value[at] for name, value in known.items() if isinstance(value, tuple) and len(value) == 2
+             for at, end in enumerate(("LOW", "HIGH"))}
+    found = {name: (known | pairs).get(name) for name in dict.fromkeys(_NAME.findall(source))}
+    return {name: value for name, value in found.items() if isinstance(value, int | float | np.number)}
+
+
+def print_constants(constants: Mapping[str, Any]) -> str:
+    """The constants in CUDA."""
+    lines = []
+    for name, value in constants.items():
+        kind = _TYPES.get(type(value), "float")
+        digits = int(value) if kind == "int" else float(value)  # NumPy's own text depends on its print options
+        lines.append(f"[[maybe_unused]] const {kind} {name} = {digits!r}{'f' if kind == 'float' else ''};\n")
+    return "".join(lines)
+
+
+@cache
+def _families(folder: Path) -> dict[str, Path]:
+    """Every kernel's file by the kernel's name: below our folder, or in a plug-in's."""
+    sources = sorted(folder.rglob("*.cu") if folder == SOURCES else folder.glob("*.cu"))
+    return {name: path for path in sources for name in _KERNEL.findall(path.read_text())}

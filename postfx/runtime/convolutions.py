@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -21,12 +21,12 @@ from postfx.runtime.model_file import ModelFile, Node, Weights, parse_model
 if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor, TensorDevice
 
-SQUARE, STEP, AHEAD, THREADS = 8, 32, 3, 256
-"""As in the kernels: pixels along a side of a square, channels of a step, steps that are held, threads of a block."""
-TILES = (160, 128, 96, 64, 32)
-"""Channels that a block of threads can make."""
-FEW = 110
-"""Blocks of threads that a GPU can hold at once; if there are fewer, they are made smaller."""
+SQUARE, GROUP = 8, 128
+"""As in the kernels: pixels of a square's side, threads of a group."""
+TILES, STEP = (160, 128, 96, 80, 64, 40, 32, 16), 32
+"""Channels that a block of threads can make; all channels are multiples of the step."""
+GROUPS, MOST_GROUPS, WAIT = (1, 2, 3, 4), 12, 3000
+"""Groups that a block may have, how many are enough for a processor, and about how many cycles one waits for pixels."""
 ARGUMENTS = ("input", "coarse", "weights", "bias", "added", "output", "second")
 """Tensors of every kernel."""
 HALF = np.dtype(np.float16)
@@ -55,8 +55,7 @@ class Head(NamedTuple):
 class Options(ctypes.Structure):
     """What else a kernel is told: see postfx/kernels/convolution.cuh."""
 
-    _fields_ = tuple((name, ctypes.c_int) for name in (
-        "height", "width", "tiles", "split", "positive", "side", "planes", "shares", "states"))
+    _fields_ = tuple((name, ctypes.c_int) for name in ("height", "width", "tiles", "split", "positive"))
 
 
 @dataclass
@@ -110,11 +109,13 @@ class Layer:
         """Numbers of channels that a block of threads may make, the largest first."""
         if self.head and self.head.side == 2:  # a row of pixels
             return (2 * self.head.planes,)
-        return tuple(tile for tile in TILES if self.channels % tile == 0)
+        least = self.head.planes if self.head else 0  # they are in the first tile
+        return tuple(tile for tile in TILES if self.channels % tile == 0 and tile >= least)
 
     def give(self, head: Head) -> bool:
         """Give the result in this form; whether the kernels can."""
-        parts = self.channels == 4 * head.planes and 2 * head.planes in TILES if head.side == 2 else True
+        rows = self.channels == 4 * head.planes and 2 * head.planes in TILES and 2 * head.planes % STEP == 0
+        parts = (rows if head.side == 2 else head.planes <= self.channels) and not self.positive and self.added is None
         if parts:
             self.head = head
         return parts
@@ -191,6 +192,8 @@ class _Reader:
 
     def _convolve(self, node: Node) -> None:
         weight, ints = self._array(node.inputs[1]), node.integers
+        if weight.ndim != 4:
+            raise Unfit("it has convolutions along one axis, or three")
         side = weight.shape[2]
         shape = (ints.get("strides", (1, 1))[0], ints.get("pads", (0,) * 4)[0])
         known = {(1, 1, 0): False, (3, 1, 1): False, (2, 2, 0): True, (4, 2, 1): True}
@@ -299,63 +302,122 @@ def give_heads(layers: Sequence[Layer], shapes: Mapping[str, tuple[int, ...]],
 
 @dataclass(frozen=True)
 class Launch:
-    """A layer with a result of some size, and how blocks of threads share the work: channels and 128 * `many` pixels of
-    each, and how many there are."""
+    """A layer with a result of some size, and how blocks of threads share the work.
+
+    Attributes:
+        tile: channels of a block.
+        groups: how many groups of threads a block has, each of which takes 64 pixels at a time.
+        held: blocks that a processor holds at once.
+    """
 
     layer: Layer
     rows: int
     columns: int
     tile: int
-    many: int
-    blocks: int
+    groups: int
+    held: int
+
+    @property
+    def squares(self) -> int:
+        """How many cover the result."""
+        return -(-self.rows // SQUARE) * -(-self.columns // SQUARE)
+
+    @property
+    def tiles(self) -> int:
+        """Blocks that share the channels of a pixel."""
+        return self.layer.channels // self.tile
+
+    @property
+    def given(self) -> tuple[int, ...]:
+        """Numbers that the kernel is compiled for."""
+        layer, head = self.layer, self.layer.head or Head("", 0, 0, 0, 0)
+        return (layer.taps, int(layer.cells), int(bool(layer.coarse)), layer.read, self.tile, head.side, *head[1:4])
 
     @property
     def name(self) -> str:
         """The kernel's."""
-        return f"convolve_{self.layer.taps}_{int(self.layer.cells)}_{self.tile}_{self.many}"
+        return "_".join(map(str, ("convolve", self.groups, *self.given)))
 
     @property
     def source(self) -> str:
-        """The kernel's, to follow that of postfx/kernels/convolution.cuh."""
-        given = f"{self.layer.taps}, {'true' if self.layer.cells else 'false'}, {self.tile}, {self.many}"
-        return (f'\nextern "C" __global__ void __launch_bounds__(THREADS) {self.name}('
+        """The kernel's, to follow postfx/kernels/convolution.cuh."""
+        return (f'\nextern "C" __global__ void __launch_bounds__({self.groups * GROUP}, {self.held}) {self.name}('
                 f'{", ".join(f"View {name}" for name in ARGUMENTS)}, Options options) {{\n'
-                f'    convolve<{given}>({", ".join(ARGUMENTS)}, options);\n}}\n')
+                f'    convolve<{", ".join(map(str, self.given))}>({", ".join(ARGUMENTS)}, options);\n}}\n')
+
+    @property
+    def factors(self) -> int:
+        """Numbers that a result is a sum of products with."""
+        return self.layer.taps**2 * self.layer.read
 
     @property
     def shared(self) -> int:
-        """Bytes of shared memory of a block: squares of its input with their border, and weights; then its results."""
+        """Bytes of shared memory of a block: all weights, and for each group a square of the input with its border."""
         side = SQUARE + self.layer.taps - 1
-        pitch = 16 * (side**2 + {1: 1, 2: 0, 3: 5}[self.layer.taps])
-        read = 2 * self.many * self.layer.read // 8 * pitch + AHEAD * STEP * self.tile * 2
-        return max(read, 2 * self.many * SQUARE**2 * (2 * self.tile + 16))
-
-
-def plan(layer: Layer, rows: int, columns: int, most: int) -> Launch:
-    """Share the work on a result of this size: the largest blocks that occupy a GPU, else smaller ones.
-
-    Raises Unfit where all need more than `most` bytes of shared memory.
-    """
-    squares, found = -(-rows // SQUARE) * -(-columns // SQUARE), list[Launch]()
-    for tile in layer.tiles:
-        for many in (2, 1) if tile == layer.tiles[0] else (1,):
-            found.append(Launch(layer, rows, columns, tile, many, -(-squares // (2 * many)) * (layer.channels // tile)))
-    found = [launch for launch in found if launch.shared <= most]
-    if not found:
-        raise Unfit(f"a layer needs more than the {most} bytes of shared memory that there are")
-    return next((launch for launch in found if launch.blocks >= FEW), found[-1])
+        square = self.layer.read // 8 * 16 * (side**2 + {1: 1, 2: 0, 3: 5}[self.layer.taps])
+        return 2 * self.factors * self.tile + self.groups * square
 
 
 class Gpu(Protocol):
-    """What runs the kernels; `most_shared` is how many bytes of shared memory a block of threads may have."""
+    """What runs the kernels.
+
+    Attributes:
+        most_shared: bytes of shared memory that a block of threads may have.
+        processors: how many run blocks at once.
+        warpgroups: whether the warps of a group multiply together.
+    """
 
     @property
     def most_shared(self) -> int: ...
+
+    @property
+    def processors(self) -> int: ...
+
+    @property
+    def warpgroups(self) -> bool: ...
 
     def convolution(self, launch: Launch, kernels: str, tensors: Sequence[Tensor | None],
                     options: Options) -> Callable[[], None]:
         """A function that launches one of the kernels on tensors, in the order of `ARGUMENTS`."""
         ...
+
+
+def choices(layer: Layer, rows: int, columns: int, gpu: Gpu) -> list[Launch]:
+    """How the work on a result of this size can be shared, the fastest first, by `_cycles`.
+
+    Raises Unfit where all need more shared memory than there is.
+    """
+    found = []
+    for tile in layer.tiles:
+        for groups in GROUPS if gpu.warpgroups or tile % 16 == 0 else ():
+            launch, registers = Launch(layer, rows, columns, tile, groups, 1), groups * GROUP * (40 + tile * 11 // 20)
+            held = min((gpu.most_shared + 1024) // (launch.shared + 1024), 65536 // registers, MOST_GROUPS // groups)
+            if held:
+                found.append(replace(launch, held=held))
+    if not found:
+        raise Unfit(f"a layer needs more than the {gpu.most_shared} bytes of shared memory that there are")
+    return sorted(found, key=lambda launch: _cycles(launch, gpu))
+
+
+def _cycles(launch: Launch, gpu: Gpu) -> float:
+    """About how long a launch takes. A product of 64 pixels, 16 channels and a tile takes half a cycle a channel of the
+    tile, or as long as its factors come from shared memory: 16 cycles and a quarter a channel, and without warpgroups
+    one. A group waits for its pixels and for its results, while others multiply."""
+    tile, tasks = launch.tile, launch.squares * launch.tiles
+    product = launch.factors // 16 * (max(tile / 2, 16 + tile / 4) if gpu.warpgroups else 16 + tile)
+    rounds = -(-tasks // (gpu.processors * launch.held * launch.groups))
+    busy = -(-tasks // gpu.processors) * product
+    return launch.held * launch.factors * tile / 20 + max(busy, rounds * (product + WAIT + 8 * tile))
+
+
+def multiply_source(tile: int) -> str:
+    """Products of a warpgroup for so many channels, for postfx/kernels/convolution.cuh."""
+    count = tile // 2
+    sums, places = ", ".join(f'"+f"(sums[{i}])' for i in range(count)), ", ".join(f"%{i}" for i in range(count))
+    return (f"\ntemplate <> __device__ inline void multiply<{count}>("
+            f"float (&sums)[{count}], Matrices left, Matrices right) {{\n"
+            f'    asm volatile("wgmma.mma_async.sync.aligned.m64n{tile}k16.f32.f16.f16 {{{places}}}, %{count}, '
+            f'%{count + 1}, 1, 1, 1, 0, 0;" : {sums} : "l"(left), "l"(right) : "memory");\n}}\n')
 
 
 class Convolutions:
@@ -383,8 +445,10 @@ class Convolutions:
                                    (layer.others, layer.channels - layer.split)):
                 if name and name not in shapes:
                     self._own[name] = device.heap.tensor(name, (1, *sizes[name], channels), "float16")
-            self._launches.append(plan(layer, rows, columns, gpu.most_shared))
-        self._source = "".join(dict.fromkeys(launch.source for launch in self._launches))
+            self._launches.append(choices(layer, rows, columns, gpu)[0])
+        tiles = sorted({launch.tile for launch in self._launches if gpu.warpgroups})
+        products = "".join(map(multiply_source, tiles))
+        self._source = products + "".join(dict.fromkeys(launch.source for launch in self._launches))
         self._given = [self._upload(device, launch) for launch in self._launches]
 
     def _upload(self, device: TensorDevice, launch: Launch) -> dict[str, Tensor]:
@@ -400,15 +464,13 @@ class Convolutions:
 
     def bind(self, tensors: Mapping[str, Tensor]) -> Callable[[], None]:
         """A function that runs the network on these inputs and outputs."""
-        known, runs = {**self._own, **tensors}, []
+        known, runs = {**self._own, **tensors}, list[Callable[[], None]]()
         for launch, given in zip(self._launches, self._given, strict=True):
             layer = launch.layer
             named = {"input": layer.source, "coarse": layer.coarse, "output": layer.output,
                      "second": layer.others or layer.pooled}
             used = given | {name: known[other] for name, other in named.items() if other}
-            side, (_, *ends) = (layer.head.side, layer.head[:4]) if layer.head else (0, ("", 0, 0, 0))
-            options = Options(launch.rows, launch.columns, layer.channels // launch.tile, layer.split, layer.positive,
-                              side, *ends)
+            options = Options(launch.rows, launch.columns, launch.tiles, layer.split, layer.positive)
             runs.append(self._gpu.convolution(launch, self._source, [used.get(name) for name in ARGUMENTS], options))
 
         def run() -> None:

@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import ctypes
 import itertools
-import re
 import sys
 import threading
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
-from importlib import import_module
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -24,9 +22,8 @@ import numpy as np
 from postfx.caching import LRUCache
 from postfx.errors import DeviceError, ModelError
 from postfx.frame import LOG
-from postfx.kernels import Blocks, Kernel
-from postfx.kernels import denoise as layout
-from postfx.runtime.convolutions import THREADS, Launch, Options
+from postfx.kernels import Blocks, convolution_source, read_source
+from postfx.runtime.convolutions import GROUP, Launch, Options
 from postfx.runtime.memory import CUDA, address
 from postfx.version import pip_install
 
@@ -170,13 +167,23 @@ class CudaMemory:
             across = -(-columns // blocks.columns) if blocks.columns else 1
             block, grid = (blocks.threads, 1), (across, min(-(-rows // blocks.rows), blocks.most))
             handle, shared = _allow_shared(kernel.handle, blocks.shared, self.place[1])
-        return self._launcher(kernel, handle, grid, block, shared, [_view(tensor) for tensor in tensors])
+        return self._launcher(name, kernel, handle, grid, block, shared, [_view(tensor) for tensor in tensors])
 
     @property
     def convolves(self) -> bool:
         """Whether it has what the kernels of `postfx.runtime.convolutions` need: they were written for GPUs of compute
         capability 8.0 and newer."""
         return bool(self._device.compute_capability >= (8, 0))
+
+    @property
+    def warpgroups(self) -> bool:
+        """Whether groups of four warps multiply together, which is of this capability alone."""
+        return bool(self._device.compute_capability == (9, 0))
+
+    @property
+    def processors(self) -> int:
+        """How many processors run blocks of threads at once."""
+        return int(self._device.properties.multiprocessor_count)
 
     @property
     def most_shared(self) -> int:
@@ -194,19 +201,27 @@ class CudaMemory:
         Raises ModelError when they cannot be compiled.
         """
         self._enter()
-        kernel = _compile(launch.name, convolution_source() + kernels, self._device.arch, "convolution.cuh")
+        arch = f"{self._device.arch}{'a' * self.warpgroups}"
+        kernel = _compile(launch.name, convolution_source(self.warpgroups) + kernels, arch, "convolution.cuh")
         handle, shared = _allow_shared(kernel.handle, launch.shared, self.place[1])
+        threads, tiles = launch.groups * GROUP, launch.tiles
+        held = driver().cuOccupancyMaxActiveBlocksPerMultiprocessor(handle, threads, shared)
+        at_once = max(1, int(check_result(held)) * self.processors // tiles)  # they go on to other pixels
+        blocks = min(at_once, -(-launch.squares // launch.groups)) * tiles
         views = [View() if tensor is None else _view(tensor) for tensor in tensors]
-        return self._launcher(kernel, handle, (launch.blocks, 1), (THREADS, 1), shared, [*views, options])
+        return self._launcher(launch.name, kernel, handle, (blocks, 1), (threads, 1), shared, [*views, options])
 
-    def _launcher(self, kernel: Any, handle: Any, grid: tuple[int, int], block: tuple[int, int], shared: int,
+    def _launcher(self, name: str, kernel: Any, handle: Any, grid: tuple[int, int], block: tuple[int, int], shared: int,
                   given: Sequence[ctypes.Structure]) -> Callable[[], None]:
         arguments = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
-        launch, stream = driver().cuLaunchKernel, self.stream
+        launch = partial(driver().cuLaunchKernel, handle, *grid, 1, *block, 1, shared, self.stream)
 
         def run(held: tuple[object, ...] = (kernel, given)) -> None:  # keeps the arguments' memory alive
             self._enter()
-            check_result(launch(handle, *grid, 1, *block, 1, shared, stream, ctypes.addressof(arguments), 0))
+            (status,) = launch(ctypes.addressof(arguments), 0)
+            if int(status):
+                raise DeviceError(f"CUDA: {status.name} for kernel '{name}' with a grid of {grid}, blocks of {block} "
+                                  f"threads and {shared} bytes of shared memory")
 
         return run
 
@@ -225,16 +240,16 @@ class CudaMemory:
 
 
 def _allow_shared(kernel: Any, wanted: int, index: int) -> tuple[Any, int]:
-    """A kernel's function in the current context, and how many bytes of dynamic shared memory it may have now: those
-    that are wanted, or as many as the GPU has."""
+    """A kernel's function in the current context, and how many bytes of dynamic shared memory a launch takes: those
+    that are wanted, or as many as the GPU has. That many are allowed, as other launches of it may take more."""
     attributes = driver().CUfunction_attribute
     is_function = isinstance(kernel, driver().CUfunction)
     function = kernel if is_function else check_result(driver().cuKernelGetFunction(int(kernel)))
     fixed = check_result(driver().cuFuncGetAttribute(attributes.CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES, function))
-    shared = min(wanted, _most_shared(index) - int(fixed))
+    most = _most_shared(index) - int(fixed)
     allowed = attributes.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
-    check_result(driver().cuFuncSetAttribute(function, allowed, shared))
-    return function, shared
+    check_result(driver().cuFuncSetAttribute(function, allowed, most))
+    return function, min(wanted, most)
 
 
 def _most_shared(index: int) -> int:
@@ -417,67 +432,3 @@ def check_result(result: tuple[Any, ...]) -> Any:
     if int(result[0]):
         raise DeviceError(f"CUDA: {result[0].name}")
     return result[1] if len(result) == 2 else None
-
-
-# Sources of kernels
-
-SOURCES = Path(layout.__file__).resolve().parents[2]
-"""The package, whose kernels lie beside the modules that their constants come from."""
-SHARED = SOURCES / "kernels"
-_KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([\w, ]+\) )?(\w+)\(')
-_NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
-_TYPES = {int: "int", np.float64: "double"}
-"""Of constants in CUDA, by that in Python; all others are float."""
-
-
-def find_source(kernel: Kernel) -> Path | None:
-    """The file that holds a kernel; None where it is not written for CUDA."""
-    return _families(kernel.home or SOURCES).get(kernel.name)
-
-
-@cache
-def read_source(family: Path) -> str:
-    """The source that is compiled for a file of kernels: the declaration of arguments, for our own kernels also the
-    constants and the code that all families share, and the file."""
-    view, own = (SHARED / "view.cuh").read_text(), family.read_text()
-    if not family.is_relative_to(SOURCES):
-        return view + own
-    source = (SHARED / "common.cuh").read_text() + own
-    return view + print_constants(constants_of(family, source)) + source
-
-
-@cache
-def convolution_source() -> str:
-    """What is compiled before the kernels of a network's layers."""
-    source = "".join((SHARED / name).read_text() for name in ("common.cuh", "convolution.cuh"))
-    constants = print_constants(constants_of(SHARED / "denoise" / "network_io.cu", source))
-    return (SHARED / "view.cuh").read_text() + constants + source
-
-
-def constants_of(family: Path, source: str) -> dict[str, Any]:
-    """Numbers of Python that a source of ours names, by name: those of the module beside its file, those that the
-    upscaler's kernels share, and those of `postfx.kernels.numeric`. A pair NAME of a low and a high number is NAME_LOW
-    and NAME_HIGH."""
-    module = ".".join(("postfx", *family.relative_to(SOURCES).with_suffix("").parts))
-    known: dict[str, Any] = vars(import_module("postfx.kernels.numeric")) | vars(layout) | vars(import_module(module))
-    pairs = {f"{name}_{end}": value[at] for name, value in known.items() if isinstance(value, tuple) and len(value) == 2
-             for at, end in enumerate(("LOW", "HIGH"))}
-    found = {name: (known | pairs).get(name) for name in dict.fromkeys(_NAME.findall(source))}
-    return {name: value for name, value in found.items() if isinstance(value, int | float | np.number)}
-
-
-def print_constants(constants: Mapping[str, Any]) -> str:
-    """The constants in CUDA."""
-    lines = []
-    for name, value in constants.items():
-        kind = _TYPES.get(type(value), "float")
-        digits = int(value) if kind == "int" else float(value)  # NumPy's own text depends on its print options
-        lines.append(f"[[maybe_unused]] const {kind} {name} = {digits!r}{'f' if kind == 'float' else ''};\n")
-    return "".join(lines)
-
-
-@cache
-def _families(folder: Path) -> dict[str, Path]:
-    """Every kernel's file by the kernel's name: below our folder, or in a plug-in's."""
-    sources = sorted(folder.rglob("*.cu") if folder == SOURCES else folder.glob("*.cu"))
-    return {name: path for path in sources for name in _KERNEL.findall(path.read_text())}

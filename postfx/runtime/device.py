@@ -22,8 +22,8 @@ from postfx.frame import LOG
 from postfx.kernels.native import BoundRows
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
-from postfx.runtime.convolutions import Head, Unfit
-from postfx.runtime.cuda import CudaMemory, find_source
+from postfx.runtime.convolutions import Head, read_layers
+from postfx.runtime.cuda import CudaMemory
 from postfx.runtime.encoders import Recordings
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
@@ -38,7 +38,7 @@ from postfx.system import Scratch, usable_cores
 from postfx.version import pip_install
 
 if TYPE_CHECKING:
-    from postfx.kernels import Kernel
+    from postfx.kernels import Kernel, find_source
 
 MINIMUM_ROWS = 4
 """Least rows of a kernel's band: fewer are not worth another thread."""
@@ -62,12 +62,9 @@ class Device:
         provider: an execution provider of ONNX Runtime for the networks, as 'OpenVINO,device_type=CPU': its name,
             options of its own, and library=, a plug-in's file or package. Kernels and tensors stay on the CPU, and so
             do nodes that it cannot run; 'auto' then means the CPU.
-        convolutions: on a GPU, run networks of convolutions in half precision as kernels of our own instead of by ONNX
-            Runtime.
 
     Attributes:
         models: name -> SHA-256 of the networks that are loaded, or may be for frames of another size.
-        convolutions: as given.
         results_lock: hold it from commit until the host has read transient results, if several threads commit.
 
     Raises DeviceError when the device is not available or an option does not fit it, MemoryBudgetError for a budget
@@ -83,11 +80,10 @@ class Device:
         memory: str | int | None = None,
         graphs: bool = True,
         provider: str | Provider | None = None,
-        convolutions: bool = False,
     ) -> None:
         if threads is not None and threads < 1:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
-        self._arguments = name, threads, compiled_kernels, kernels, memory, graphs, provider, convolutions
+        self._arguments = name, threads, compiled_kernels, kernels, memory, graphs, provider
         self.threads = threads or usable_cores()
         self.scratch = None if memory is None else Scratch(memory)
         name = "cpu" if (self.scratch or provider) and name == "auto" else name
@@ -97,7 +93,7 @@ class Device:
         if self.scratch:
             self.memory = _within(self.scratch, self.memory, name)
         self.name = name if name != "auto" else self.placement.memory
-        self._compiled, self.convolutions = compiled_kernels, convolutions
+        self._compiled = compiled_kernels
         self._kernels = kernels
         self._compute_states: dict[Kernel, State] = {}
         self.models: dict[str, str] = {}
@@ -237,23 +233,33 @@ class Device:
         taken = self.threads if threads is None else threads
         if not 1 <= taken <= self.threads:
             raise DeviceError(f"network '{name}' cannot take {taken} of the {self.threads} threads of {self!r}")
-        placement, exclusive = replace(self.placement, threads=taken), self.placement.stream != 0
-        if taken < self.threads and not in_place:
-            placement = replace(placement, stream=self.memory.stream_beside())
-        session = Session(content, name, placement, named, library.path(name).parent, exclusive)
+        narrow = taken < self.threads and not in_place
+        if self.gpu and self.gpu.convolves and not (narrow or in_place):
+            try:
+                layers, host = read_layers(content, library.path(name).parent), Placement(CPU, "cpu", 0, taken)
+                session = self._session(content, library, name, host, fixed)  # tells sizes and constants
+                state = PipelineState(self, name, session, named, library.path(name), library.constants(name))
+                state.convolve(layers, self.gpu, heads or {})
+                self.name_model(library, name)
+                return state
+            except (ValueError, LookupError) as reason:  # Unfit, or damaged, which a session tells
+                LOG.debug("network '%s' runs by ONNX Runtime: %s", name, reason)
+        stream = self.memory.stream_beside() if narrow else self.placement.stream
+        placement = replace(self.placement, threads=taken, stream=stream)
+        session = self._session(content, library, name, placement, fixed)
+        self.name_model(library, name)
+        return PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken)
+
+    def _session(self, content: bytes, library: Library, name: str, placement: Placement, fixed: Dims) -> Session:
+        """A network's session, all of whose dimensions are fixed."""
+        named = {key: size for key, size in fixed.items() if isinstance(key, str)}
+        session = Session(content, name, placement, named, library.path(name).parent, placement.stream != 0)
         for value in (*session.inputs, *session.outputs):
             free = [str(size or f"axis {axis}") for axis, size in enumerate(value.shape) if not isinstance(size, int)]
             if free:
                 raise ModelError(f"network '{name}' leaves {', '.join(free)} of '{value.name}' free: dims were "
                                  f"{_text_dims(fixed)}")
-        self.name_model(library, name)
-        state = PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken)
-        if self.convolutions and self.gpu and self.gpu.convolves and not (state.narrow or in_place):
-            try:
-                state.convolve(content, self.gpu, heads or {})
-            except Unfit as reason:
-                LOG.debug("network '%s' runs by ONNX Runtime: %s", name, reason)
-        return state
+        return session
 
     def name_model(self, library: Library, name: str) -> None:
         """Add a network to `models` before it is loaded, because it may be needed later."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from postfx.errors import BindingError, ModelError
 from postfx.kernels.native import bind_rows, compile_rows
-from postfx.runtime.convolutions import Convolutions, Gpu, Head, give_heads, read_layers
+from postfx.runtime.convolutions import Convolutions, Gpu, Head, Layer, give_heads
 from postfx.runtime.session import Session
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 
@@ -117,12 +117,11 @@ class PipelineState:
         self._session = session
         self._convolutions: Convolutions | None = None
 
-    def convolve(self, content: bytes, gpu: Gpu, heads: Mapping[str, Head]) -> None:
-        """Run as our own kernels from now on; `heads` are outputs to give as planes then.
+    def convolve(self, layers: Sequence[Layer], gpu: Gpu, heads: Mapping[str, Head]) -> None:
+        """Run as our own kernels from now on, with these layers; `heads` are outputs to give as planes then.
 
-        Raises Unfit if the network is not made of layers that they compute.
+        Raises Unfit where the GPU cannot run a layer.
         """
-        layers = read_layers(content, self.model.parent)
         shapes, names = give_heads(layers, self.shapes, heads)
         self._convolutions, self.shapes = Convolutions(layers, self.device, gpu, shapes), shapes
         self.bindings = tuple(binding._replace(name=name, shape=shapes[name]) for binding in self.bindings

@@ -6,9 +6,9 @@ import ctypes
 from collections.abc import Callable, Sequence
 from functools import cache
 
+from postfx.kernels import convolution_source
 from postfx.runtime import Tensor
-from postfx.runtime.convolutions import ARGUMENTS, THREADS, Launch, Options
-from postfx.runtime.cuda import convolution_source
+from postfx.runtime.convolutions import ARGUMENTS, GROUP, Launch, Options
 from tests.kernels.host_cuda import SHIM, View, compile_source
 
 # A warp's matrices and products in half precision, as `add_product` of the shim has them in single precision.
@@ -17,9 +17,15 @@ static void copy_eight(char* to, const char* from, bool there) {
     if (there) std::memcpy(to, from, 16);
     else std::memset(to, 0, 16);
 }
-static void end_batch() {}
-template <int MOST> static void wait_for_batches() {}
-static const char* rows_at[8][32];
+static void wait_for_copies() {}
+static int at_group[4], group_meetings[4];
+static void meet_group(int group) {
+    const int now = group_meetings[group];
+    if (++at_group[group] == 128) at_group[group] = 0, group_meetings[group]++;
+    while (group_meetings[group] == now) give_way();
+}
+static unsigned from_lane(unsigned value, int mask) { return __shfl_xor_sync(~0u, value, mask); }
+static const char* rows_at[16][32];
 static void load_matrices(unsigned (&to)[4], const char* row) {
     const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
     rows_at[warp][lane] = row;
@@ -30,6 +36,8 @@ static void load_matrices(unsigned (&to)[4], const char* row) {
 static float number(unsigned both, int k) {
     return float(__builtin_bit_cast(_Float16, (unsigned short)(both >> 16 * k)));
 }
+static float power_of_two(float x) { return std::exp2(x); }
+static float inverse(float x) { return 1 / x; }
 static unsigned rounded(float first, float second) {
     return __builtin_bit_cast(unsigned short, _Float16(first))
         | unsigned(__builtin_bit_cast(unsigned short, _Float16(second))) << 16;
@@ -40,8 +48,8 @@ static unsigned sum(unsigned a, unsigned b) {
 static unsigned larger(unsigned a, unsigned b) {
     return rounded(std::max(number(a, 0), number(b, 0)), std::max(number(a, 1), number(b, 1)));
 }
-static float half_left[8][16][16], half_right[8][16][8];
-static void add_product(float (&sums)[4], const unsigned (&left)[4], unsigned upper, unsigned lower) {
+static float half_left[16][16][16], half_right[16][16][8];
+static void add_product(float* sums, const unsigned (&left)[4], unsigned upper, unsigned lower) {
     const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, g = lane / 4, q = lane % 4;
     for (int i = 0; i < 2; i++) {
         for (int k = 0; k < 4; k++) half_left[warp][g + k % 2 * 8][2 * q + i + k / 2 * 8] = number(left[k], i);
@@ -61,27 +69,58 @@ alignas(128) static char all_shared[1 << 18];
 """
 
 
-class HostGpu:
-    """As `CudaMemory`, for tensors in the host's memory."""
+# Products of warpgroups: each thread finds its own numbers where the factors lie.
+TOGETHER = r"""
+struct Matrices {
+    const char* at;
+    int along, across;
+};
+static Matrices matrices(const char* at, int along, int across) { return {at, along, across}; }
+static float factor(const Matrices& m, int row, int k) {
+    const char* const at = m.at + k / 8 * m.along + row / 8 * m.across + row % 8 * 16 + k % 8 * 2;
+    return float(*reinterpret_cast<const _Float16*>(at));
+}
+template <int COUNT> static void multiply(float (&sums)[COUNT], Matrices left, Matrices right) {
+    const int thread = threadIdx.x % 128, lane = thread % 32;
+    for (int i = 0; i < COUNT; i++) {
+        const int row = thread / 32 * 16 + lane / 4 + i / 2 % 2 * 8, column = i / 4 * 8 + lane % 4 * 2 + i % 2;
+        double total = sums[i];
+        for (int k = 0; k < 16; k++) total += double(factor(left, row, k)) * factor(right, column, k);
+        sums[i] = float(total);
+    }
+}
+static void begin_products() {}
+template <int COUNT> static void end_products(float (&)[COUNT]) {}
+static void show_to_products() {}
+"""
 
-    most_shared = 227 << 10
+
+class HostGpu:
+    """As `CudaMemory`, for tensors in the host's memory: a GPU whose few processors hold one block of threads each."""
+
+    convolves = True
+
+    def __init__(self, warpgroups: bool, processors: int = 132, most_shared: int = 227 << 10) -> None:
+        self.warpgroups, self.processors, self.most_shared = warpgroups, processors, most_shared
 
     def convolution(self, launch: Launch, kernels: str, tensors: Sequence[Tensor | None],
                     options: Options) -> Callable[[], None]:
         views = [View() if tensor is None else View(tensor.start, (ctypes.c_int * 4)(*tensor.shape[:4]))
                  for tensor in tensors]
-        function, given = getattr(_library(kernels), f"run_{launch.name}"), (View * len(views))(*views)
-        return lambda: function(launch.blocks, given, ctypes.byref(options))
+        function, given = getattr(_library(kernels, self.warpgroups), f"run_{launch.name}"), (View * len(views))(*views)
+        blocks = min(-(-launch.squares // launch.groups), -(-self.processors // launch.tiles)) * launch.tiles
+        return lambda: function(blocks, launch.groups * GROUP, given, ctypes.byref(options))
 
 
 @cache
-def _library(kernels: str) -> ctypes.CDLL:
-    source = SHIM + HALVES + convolution_source() + kernels
+def _library(kernels: str, warpgroups: bool) -> ctypes.CDLL:
+    kernels = kernels[kernels.index('\nextern "C"'):]  # without products in the GPU's language
+    source = SHIM + HALVES + TOGETHER * warpgroups + convolution_source(warpgroups) + kernels
     views = ", ".join(f"given[{i}]" for i in range(len(ARGUMENTS)))
     names = [line.split("(")[-2].split()[-1] for line in kernels.splitlines() if line.startswith("extern")]
     for name in names:
-        source += (f'extern "C" void run_{name}(int blocks, View* views, Options* told) {{\n'
+        source += (f'extern "C" void run_{name}(int blocks, int threads, View* views, Options* told) {{\n'
                    f"    static View* given;\n    static Options* options;\n    given = views, options = told;\n"
-                   f"    blockDim.x = {THREADS}, body = [] {{ {name}({views}, *options); }};\n"
-                   f"    for (blockIdx.x = 0; blockIdx.x < blocks; blockIdx.x++) run_block({THREADS});\n}}\n")
+                   f"    blockDim.x = threads, gridDim.x = blocks, body = [] {{ {name}({views}, *options); }};\n"
+                   f"    for (blockIdx.x = 0; blockIdx.x < blocks; blockIdx.x++) run_block(threads);\n}}\n")
     return compile_source(source, "convolutions")

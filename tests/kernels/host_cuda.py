@@ -19,8 +19,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from postfx.kernels import Kernel
-from postfx.runtime.cuda import find_source, read_source
+from postfx.kernels import Kernel, find_source, read_source
 from postfx.system import private_folder
 
 COMPILER = shutil.which("g++")

@@ -11,7 +11,8 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from postfx.runtime import ArgumentTable, Device, Library
-from postfx.runtime.convolutions import FEW, Convolutions, Head, Unfit, plan, read_layers
+from postfx.runtime.convolutions import Convolutions, Head, Unfit, choices, read_layers
+from postfx.runtime.cuda import CudaMemory
 from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda
 from tests.kernels.host_convolutions import HostGpu
@@ -59,7 +60,11 @@ def make_network(change: Callable[[onnx.GraphProto], None] = lambda graph: None)
 
 @pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
 @pytest.mark.parametrize("stem", [2, 4])
-def test_the_kernels_compute_what_onnx_runtime_does(tmp_path: Path, stem: int) -> None:
+@pytest.mark.parametrize("gpu", [HostGpu(warpgroups=False, processors=7), HostGpu(warpgroups=True, processors=3)],
+                         ids=["warps", "warpgroups"])
+def test_the_kernels_compute_what_onnx_runtime_does(
+    tmp_path: Path, gpu: HostGpu, stem: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Squares at the sides are not whole. The stem looks at one cell of 2x2 pixels, or at four."""
     def shorten(graph: onnx.GraphProto) -> None:
         found = next(weights for weights in graph.initializer if weights.name == "stem weight")
@@ -79,12 +84,14 @@ def test_the_kernels_compute_what_onnx_runtime_does(tmp_path: Path, stem: int) -
         tensors[name].upload(np.full(value.shape, np.nan, np.float16))
     layers = read_layers(library.load("toy"), tmp_path)
     assert [layer.output for layer in layers] == ["x", "z", "level", "end", "fine"]
-    Convolutions(layers, device, HostGpu(), state.shapes).bind(tensors)()
+    Convolutions(layers, device, gpu, state.shapes).bind(tensors)()
     for name, value in wanted.items():
         assert np.abs(tensors[name].host_view() - value).max() < 4e-3 * np.abs(value).max()
 
     heads = {"fine": Head("opened", 16, 8, 12, side=2), "level": Head("opened level", 26, 25, 26)}
-    state.convolve(library.load("toy"), HostGpu(), heads)
+    monkeypatch.setattr(Device, "gpu", gpu)
+    state = device.pipeline_state(library, "toy", {"height": 40, "width": 56}, heads=heads)
+    assert [binding.name for binding in state.bindings] == ["packed", "opened", "opened level"]
     opened = {name: device.heap.tensor(name, state.shapes[name], "float16") for name in ("opened", "opened level")}
     state.prepare([{**tensors, **opened}[binding.name] for binding in state.bindings])()
     parts = wanted["fine"].reshape(1, 20, 28, 2, 2, 16).transpose(0, 5, 1, 3, 2, 4).reshape(1, 16, 40, 56)
@@ -100,13 +107,13 @@ def test_networks_in_half_precision_are_read_whole(tag: str) -> None:
     library, name = Library(), f"denoise_upscale.{tag}"
     layers = read_layers(library.load(name), library.path(name).parent)
     assert {layer.output for layer in layers} > {"raw_fine", "raw_level1", "raw_level2"}
-    launch = plan(layers[0], 272, 480, HostGpu.most_shared)
-    assert launch.blocks >= FEW
-    assert launch.tile == layers[0].channels
-    widest = max(layers, key=lambda layer: layer.read * layer.taps)
-    assert plan(widest, 136, 240, 99 << 10).shared <= 99 << 10  # of GPUs with less
+    for layer in layers:
+        launch = choices(layer, 272, 480, HostGpu(warpgroups=True))[0]
+        assert launch.groups * launch.held >= 3, "while one waits for pixels, others multiply"
+        assert launch.shared <= HostGpu(warpgroups=True).most_shared
+        assert choices(layer, 136, 240, HostGpu(False, most_shared=99 << 10))[0].shared <= 99 << 10  # of GPUs with less
     with pytest.raises(Unfit, match="shared memory"):
-        plan(widest, 136, 240, 16 << 10)
+        choices(max(layers, key=lambda layer: layer.read * layer.taps), 136, 240, HostGpu(True, most_shared=16 << 10))
 
 
 def _sigmoid(graph: onnx.GraphProto) -> None:
@@ -142,11 +149,12 @@ def test_other_networks_stay_with_onnx_runtime(change: Callable[[onnx.GraphProto
 @pytest.mark.gpu
 @pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
 @pytest.mark.parametrize("tag", ["s.fp16", "m.fp16", "l.fp16"])
-def test_a_gpu_computes_what_onnx_runtime_does_there(tag: str) -> None:
+def test_a_gpu_computes_what_onnx_runtime_does_there(tag: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """At 960x544, where all blocks of threads are at work at once; prints both times."""
     packed, results, times = RANDOM.random((1, 544, 960, 40)).astype(np.float16), [], []
     for own in (False, True):
-        device = Device("cuda", convolutions=own)
+        monkeypatch.setattr(CudaMemory, "convolves", own)
+        device = Device("cuda")
         state = device.pipeline_state(Library(), f"denoise_upscale.{tag}", {"height": 544, "width": 960})
         tensors = {binding.name: device.heap.tensor(binding.name, state.shapes[binding.name], binding.dtype)
                    for binding in state.bindings}

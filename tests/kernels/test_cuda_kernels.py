@@ -7,11 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from postfx.kernels import Kernel
+from postfx.kernels import Kernel, find_source
 from postfx.kernels.denoise import IN_HALF
 from postfx.kernels.denoise.output import DETAIL, JUDGE, TILE
 from postfx.runtime import Device
-from postfx.runtime.cuda import find_source
 from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda, tonemap_cases
 from tests.kernels.denoise_cases import KERNELS, arguments, element_type, in_frame, run, runs_of, shape

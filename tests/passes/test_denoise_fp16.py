@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from postfx.kernels import Kernel
+from postfx.kernels import Kernel, find_source
 from postfx.runtime import Device, Library, ModelError
-from postfx.runtime.cuda import find_source
 from postfx.runtime.states import CompiledComputeState
 from postfx.system import models_dir
 

@@ -160,3 +160,44 @@ def test_memory_of_a_gpu_does_all_that_devices_ask_of_memory() -> None:
     wanted = {name for name in vars(Memory) if not name.startswith("_")}
     assert wanted >= {"allocate", "replay", "synchronise"}
     assert not wanted - set(dir(CudaMemory))
+
+
+class Launches(Driver):
+    """A GPU with 1000 bytes of shared memory that launches what it was allowed to, by kernel."""
+
+    CUfunction = int
+    CUfunction_attribute = SimpleNamespace(CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES=1,
+                                           CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES=2)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.allowed: dict[int, int] = {}
+
+    def cuFuncGetAttribute(self, attribute: int, kernel: int) -> tuple:  # noqa: N802
+        return 0, 100
+
+    def cuFuncSetAttribute(self, kernel: int, attribute: int, value: int) -> tuple:  # noqa: N802
+        self.allowed[kernel] = value
+        return (0,)
+
+    def cuLaunchKernel(self, kernel: int, *rest: int) -> tuple:  # noqa: N802
+        class Status(int):
+            name = "CUDA_ERROR_INVALID_VALUE"
+
+        return (Status(rest[6] > self.allowed[kernel] or not rest[0]),)
+
+
+def test_launches_of_a_kernel_with_less_and_more_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A launch made later does not take away what an earlier one may have; one that is refused is described."""
+    monkeypatch.setattr(cuda, "driver", lambda played=Launches(): played)  # noqa: B008
+    monkeypatch.setattr(cuda, "_most_shared", lambda index: 1000)
+    memory = CudaMemory.__new__(CudaMemory)
+    memory._thread, memory.stream = SimpleNamespace(entered=True), STREAM
+    runs = []
+    for wanted, grid in ((800, (4, 1)), (300, (4, 1)), (5000, (4, 1)), (300, (0, 1))):
+        function, shared = cuda._allow_shared(11, wanted, 0)
+        runs.append(memory._launcher("convolve", None, function, grid, (256, 1), shared, []))
+    for run in runs[:3]:
+        run()
+    with pytest.raises(DeviceError, match=r"INVALID_VALUE for kernel 'convolve' with a grid of \(0, 1\), .* 300 bytes"):
+        runs[3]()

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.kernels import SHARED, SOURCES, constants_of, print_constants, read_source
 from postfx.kernels import denoise as layout
 from postfx.kernels.denoise import history, output
-from postfx.runtime.cuda import SHARED, SOURCES, constants_of, print_constants, read_source
 
 FAMILIES = sorted(SOURCES.rglob("*.cu"))
 

@@ -11,7 +11,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from postfx.kernels import Kernel
+from postfx.kernels import Kernel, find_source, read_source
 from postfx.kernels.image import RESAMPLE
 from postfx.runtime import (
     ArgumentTable,
@@ -23,7 +23,6 @@ from postfx.runtime import (
     PortableComputeState,
 )
 from postfx.runtime import device as device_module
-from postfx.runtime.cuda import find_source, read_source
 from tests import toys
 
 

@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 
 from postfx.frame import Role
-from postfx.kernels import Kernel
+from postfx.kernels import Kernel, find_source
 from postfx.kernels.denoise.history import REFLECTIONS
 from postfx.runtime import Device
-from postfx.runtime.cuda import find_source
 from tests.kernels import denoise_cases, host_cuda, tonemap_cases
 from tests.passes import mirror_scene
 from tests.stress.scenes import portable
