@@ -136,28 +136,45 @@ def is_line(cells: np.ndarray, y: int, x: int, j: int, i: int, c: int) -> bool:
     return bool(min(abs(last), abs(coming)) <= SMOOTH)
 
 
+@in_lanes(4)
+def most_apart(v: Any, cells: Any, at: Any, beside: Any, below: Any, beyond: Any) -> Any:
+    """The largest difference of a cell's path to those of three others."""
+    here = v.load(cells, at)
+    one, other, third = ((v.load(cells, place) - here).magnitude() for place in (beside, below, beyond))
+    apart = one.largest(other).largest(third)
+    pair = apart.part(0, 2).largest(apart.part(2, 2))
+    return pair.part(0, 1).largest(pair.part(1, 1)).number(0)
+
+
 @uncounted
 def join_cells(y0: int, y1: int, cells: np.ndarray) -> None:
     """Mark cells that follow one path with those to the right and below by 1, and by 2 where it changes evenly, as on
     what turns."""
     rows, columns = cells.shape[:2]
+    flat = cells.reshape(-1)
     for y in range(y0, y1):
         j = min(y + 1, rows - 1) - y
         for x in range(columns):
             i = min(x + 1, columns - 1) - x
-            is_one, is_even = True, True
-            for c in range(6):
+            at = 8 * (y * columns + x)
+            right, low = at + 8 * i, at + 8 * j * columns
+            beyond = low + 8 * i
+            is_one = (flat[at + 4] == flat[right + 4]) & (flat[at + 5] == flat[right + 5]) \
+                & (flat[at + 4] == flat[low + 4]) & (flat[at + 5] == flat[low + 5]) \
+                & (flat[at + 4] == flat[beyond + 4]) & (flat[at + 5] == flat[beyond + 5])
+            apart = most_apart(flat, at, right, low, beyond)
+            if is_one and apart <= JOINED:
+                flat[at + 7] = ONE
+                continue
+            is_even = is_one and apart <= TURNING
+            for c in range(4):
                 one, beside, under = cells[y, x, c], cells[y, x + i, c], cells[y + j, x, c]
                 across = cells[y + j, x + i, c]
-                apart = max(max(abs(beside - one), abs(under - one)), abs(across - one))
-                is_one = is_one and apart <= (JOINED if c < 4 else ZERO)
-                is_even = is_even and apart <= (TURNING if c < 4 else ZERO) \
-                    and abs(one - beside - under + across) <= SMOOTH
-            if not is_one and is_even:
-                for c in range(4):
-                    is_even = is_even and is_line(cells, y, x, 0, i, c) and is_line(cells, y, x, j, 0, c) \
-                        and is_line(cells, y + j, x, 0, i, c) and is_line(cells, y, x + i, j, 0, c)
-            cells[y, x, 7] = ONE if is_one else 2 * ONE if is_even else ZERO
+                is_even = is_even and abs(one - beside - under + across) <= SMOOTH
+            for c in range(4):
+                is_even = is_even and is_line(cells, y, x, 0, i, c) and is_line(cells, y, x, j, 0, c) \
+                    and is_line(cells, y + j, x, 0, i, c) and is_line(cells, y, x + i, j, 0, c)
+            flat[at + 7] = 2 * ONE if is_even else ZERO
 
 
 @inline

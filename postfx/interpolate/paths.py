@@ -22,7 +22,7 @@ import numpy as np
 
 from postfx.frame import DEPTH_MISS
 from postfx.io.convert import centre_positions, fit_camera
-from postfx.kernels.numeric import Real, add_eight, inline, load_eight, store_eight, uncounted
+from postfx.kernels.numeric import Real, add_eight, divide_eight, inline, load_eight, store_eight, uncounted
 from postfx.system import usable_cores
 from postfx.temporal import reverse_motion
 from postfx.temporal.reverse_motion import LOST
@@ -434,12 +434,14 @@ def splat_means(ends: np.ndarray, bend: np.ndarray, depth: np.ndarray, seen: np.
 def close_cracks(nearest: np.ndarray, found: np.ndarray, depth: np.ndarray) -> None:
     """Means of the sums; pixels where nothing arrived get those of two neighbours on opposite sides."""
     h, w = nearest.shape
+    flat, unit = found.reshape(-1), np.float32(1)
     for y in range(h):
         for x in range(w):
             depth[y, x] = nearest[y, x]
             if nearest[y, x] < FAR:
-                for c in range(5):
-                    found[y, x, c] /= found[y, x, 5]
+                at, weight = 8 * (y * w + x), found[y, x, 5]
+                means = divide_eight(load_eight(flat, at), (weight, weight, weight, weight, weight, unit, unit, unit))
+                store_eight(flat, at, means)
     for y in range(h):
         for x in range(w):
             if nearest[y, x] < FAR:
