@@ -11,7 +11,7 @@ import pytest
 from postfx.kernels.native import BoundRows, bind_rows
 from postfx.kernels.numeric import compiled
 from postfx.runtime import threads
-from postfx.runtime.threads import LOOK, Band, Helpers
+from postfx.runtime.threads import LOOK, NANOSECONDS, NAPS, Band, Helpers
 
 
 @compiled
@@ -32,12 +32,13 @@ def bands_of(rows, edges: list[int], *arrays: np.ndarray) -> list[Band]:
     return [Band(lambda first, last: rows(first, last, *arrays), *edge) for edge in zip(edges, edges[1:], strict=False)]
 
 
-@pytest.mark.parametrize("pause", [0, 3 * LOOK], ids=["at once", "after they went"])
-def test_every_row_is_worked_on_once(pause: float) -> None:
+@pytest.mark.parametrize(("pause", "times"), [(0, 200), (3 * LOOK, 20), (1.2e-9 * NAPS * NANOSECONDS, 4)],
+                         ids=["at once", "while they doze", "after they went"])
+def test_every_row_is_worked_on_once(pause: float, times: int) -> None:
     helpers, counts, compiled_counts = Helpers(3), np.zeros(40), np.zeros(40)
     bound = bind_rows(count_rows, [compiled_counts])
     assert isinstance(bound, BoundRows)
-    for done in range(1, 200 if not pause else 20):
+    for done in range(1, times):
         helpers.work(bands_of(count_rows, [0, 11, 12, 30, 40], counts))
         assert (counts == done).all()
         time.sleep(pause)
