@@ -6,9 +6,11 @@ the new one, never half of it.
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import hashlib
 import json
+import mmap
 import os
 import re
 import shutil
@@ -111,6 +113,18 @@ def memory_file(suffix: str, room: int = 0) -> Iterator[Path]:
         if shutil.disk_usage(folder).free < room:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
         yield Path(folder, f"file{suffix}")
+
+
+def read_to_end(pipe: int, most: int) -> memoryview:
+    """At most so many bytes that come through a pipe, which is then closed. One call of the C library reads them all
+    without the interpreter's lock, so what writes into the pipe may hold it."""
+    content, library = mmap.mmap(-1, most), ctypes.CDLL(None)
+    library.fdopen.restype, library.fread.restype = ctypes.c_void_p, ctypes.c_size_t
+    file = ctypes.c_void_p(library.fdopen(pipe, b"rb"))
+    start = ctypes.byref(ctypes.c_char.from_buffer(content))
+    size = library.fread(start, ctypes.c_size_t(1), ctypes.c_size_t(most), file)
+    library.fclose(file)
+    return memoryview(content)[:size]
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from isal import isal_zlib
 from postfx.colour import D50_XYZ, Chromaticities, adapt, to_xyz
 from postfx.colour.displays import KINDS, SRGB, Display
 from postfx.errors import ReadError
-from postfx.files import memory_file
+from postfx.files import memory_file, read_to_end
 from postfx.frame import Frame
 from postfx.io.exr import Header, read_headers
 from postfx.io.exr.container import ExrContainer, Rows, picture_part, write_container
@@ -313,8 +313,8 @@ def _write_jpeg(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels,
             path.write_bytes(made.read_bytes())
         return
     reading, writing = os.pipe()
-    with ThreadPoolExecutor(1) as reader, os.fdopen(reading, "rb") as encoded:
-        content = reader.submit(encoded.read)
+    with ThreadPoolExecutor(1) as reader:
+        content = reader.submit(read_to_end, reading, 4 * spec.image_bytes() + (1 << 16))
         try:
             _encode(Path(f"/dev/fd/{writing}"), suffix, spec, convert, relax)
         finally:

@@ -202,3 +202,23 @@ def test_finished_files_have_the_rights_of_any_new_file(tmp_path: Path) -> None:
     write_frame(tmp_path / "a.exr", noise(20, 20))
     (tmp_path / "b").write_text("")
     assert (tmp_path / "a.exr").stat().st_mode == (tmp_path / "b").stat().st_mode
+
+
+def test_a_pipe_is_read_while_its_writer_holds_the_interpreters_lock() -> None:
+    """As OpenImageIO does where it ends a file: more comes than a pipe holds."""
+    code = """
+import ctypes, os, threading
+from concurrent.futures import ThreadPoolExecutor
+from postfx.files import read_to_end
+reading, writing = os.pipe()
+sent = os.urandom(1 << 20)
+with ThreadPoolExecutor(1) as reader:
+    content = reader.submit(read_to_end, reading, 1 << 21)
+    while not content.running():
+        pass
+    threading.Event().wait(0.2)
+    written = ctypes.PyDLL(None).write(writing, sent, len(sent))
+    os.close(writing)
+    assert written == len(sent) and bytes(content.result()) == sent
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=30)
