@@ -7,7 +7,6 @@ arrays, because those become vector code.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -440,6 +439,5 @@ UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "trust"
                          guided_rows, ("output", 0), radiance=BOTH)
 UPSAMPLE_UNSCALED = kernel("upsample_unscaled", (*READS, "factor", "params", "window", "keep"), WRITES, unscaled_rows,
                            ("output", 0), radiance=BOTH)
-UPSAMPLE, UPSAMPLE_GUIDED = (replace(one, pixels=(2, 2)) for one in (UPSAMPLE, UPSAMPLE_GUIDED))
 for one in (UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED):
     in_half(one, "fine")

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, REFLECT, UPSAMPLE_LIGHT
-from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, LEVEL, PLAIN, REMODULATE
+from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, LEVEL, REMODULATE
 from postfx.passes.denoise.history import ALPHA_LAYER, alone, one_of, some_of
-from postfx.passes.denoise.network import Graph, Tables, upload
+from postfx.passes.denoise.network import PLAIN, Graph, Tables, upload
 from postfx.passes.denoise.tiling import Window
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Tensor
 
@@ -101,8 +101,7 @@ class LayerGraph(Graph):
                       tensors: Mapping[str, Tensor]) -> None:
         """Filter and enlarge the mean of alpha's samples."""
         if not self._alpha_order:
-            self._alpha_tables: Tables = {half: {} for half in self._tables}
-            level = self._new("level of alpha", (1, *self._window.level(0)))
+            self._alpha_tables, level = self._new_tables(), self._new("level of alpha", (1, *self._window.level(0)))
             filtered, self._alpha_order = self._make_pyramid(self._alpha_tables, level)
             self._table(self._alpha_tables, "level", LEVEL, level=level)
             self._table(self._alpha_tables, "enlarge", ENLARGE_ALPHA, filtered=filtered)
@@ -143,7 +142,7 @@ class LayerGraph(Graph):
             "level": self._new("level of parts", (3 * count, *self._window.level(0))),
             "radiance": self._new("radiance of parts", (3 * count, rows + 2, columns + 2)),
             "factor": self._new("factors of parts", (count, rows, columns, 3))}
-        tables = self._layer_tables[count] = {half: {} for half in self._tables}
+        tables = self._layer_tables[count] = self._new_tables()
         for name, kernel in (("reflectance", REFLECT), ("accumulate", ACCUMULATE_PART), ("remodulate", REMODULATE),
                              ("upsample", UPSAMPLE_LIGHT)):
             self._table(tables, name, kernel, moved=self._made["moved"])

@@ -30,18 +30,8 @@ from postfx.kernels.denoise.network_io import (
     opened_shape,
 )
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, means_size
-from postfx.kernels.denoise.pyramid import (
-    ENDS,
-    FILTER,
-    FILTER_MIXED,
-    FILTER_SHADED,
-    GUIDED,
-    MIX_LEVELS,
-    PLAIN,
-    POOL,
-    POOLS,
-    UNSCALED,
-)
+from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
+from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.tiling import LEVELS, Window
 from postfx.runtime import (
@@ -69,6 +59,12 @@ MADE = (PACKED, RAW, PHASED_FINE, STORED, PRODUCTS)
 CHANNELS = {"features": FEATURES, "guides": GUIDES}
 FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
 """Feature channels that float32 networks read as inputs of their own: a CPU is fastest with few, or multiples of 16."""
+
+
+def free_dimensions(size: tuple[int, int]) -> dict[str, int]:
+    """Networks' names for height and width: of the features, and of features with a border of one pixel."""
+    (h, w), ring = size, 2 * RING
+    return {"height": h, "width": w, "ringed_height": h + ring, "ringed_width": w + ring}
 
 
 def stored_channels(name: str) -> int:
@@ -127,6 +123,11 @@ def check_bindings(state: PipelineState) -> None:
     if strange or "features" not in seen_by(state) or not {"fine", PHASED_FINE} & gives:
         raise ModelError(f"model '{state.name}' is not a denoiser: it reads {', '.join(sorted(reads)) or 'nothing'} "
                          f"and gives {', '.join(sorted(gives)) or 'nothing'}; training.denoise.export makes one")
+
+
+def alike_heads(state: PipelineState) -> dict[str, np.ndarray]:
+    """Heads of the levels that a network does not compute, (1, C, 1, 1) by name: one value for all pixels."""
+    return {name: array for name, array in state.constants.items() if not name.startswith((CODING, SCALING))}
 
 
 class Network:
@@ -234,8 +235,13 @@ def _dispatch(commands: CommandBuffer, label: str, steps: list[list[ArgumentTabl
                 encoder.dispatch(table.state, table)
 
 
+PLAIN, GUIDED, UNSCALED = "plain", "guided", "unscaled"
+ENDS = {PLAIN: (REMODULATE, UPSAMPLE), GUIDED: (REMODULATE_BOTH, UPSAMPLE_GUIDED),
+        UNSCALED: (REMODULATE_BOTH, UPSAMPLE_UNSCALED)}
+"""Kernels that put the reflectance back and enlarge: before, with that of guides, or after, at the render size."""
 MOST_PLACES = 64
 """Windows of one size whose positions stay on the device."""
+
 
 Tables = dict[bool, dict[str, ArgumentTable]]
 """Argument tables by name, for networks in half precision on a GPU and for others."""
@@ -252,13 +258,12 @@ class Graph:
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
                  reactive: bool = False) -> None:
         self._device, self._window, self._guided, self._reactive = device, window, guided, reactive
-        (h, w), ring = window.padded_size, 2 * RING
-        dims = {"height": h, "width": w, "ringed_height": h + ring, "ringed_width": w + ring}
+        dims = free_dimensions(window.padded_size)
         networks = {model: load_network(device, model, dims) for model in models}
         for state in networks.values():
             check_bindings(state)
         self._half = {model: _is_half(state) for model, state in networks.items()}
-        self._tables: Tables = {half: {} for half in self._half.values()}
+        self._tables = self._new_tables()
         self._places: LRUCache[Window, dict[str, dict[str, Tensor]]] = LRUCache(MOST_PLACES)
         between = cache(self._new)  # of several networks only one runs in a frame
         self._heads = {model: self._heads_of(state, between) for model, state in networks.items()}
@@ -298,9 +303,7 @@ class Graph:
         self._networks[model].encode(commands)
         with commands.compute_encoder("filter") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            *order, last = self._filter_order
-            shaded = f"{last} {end}"
-            for i, name in enumerate((*order, *((shaded,) if shaded in tables else (last, f"remodulate {end}")))):
+            for i, name in enumerate((*self._filter_order, f"remodulate {end}")):
                 if i:
                     encoder.barrier()
                 self._run(encoder, tables, name)
@@ -330,9 +333,7 @@ class Graph:
             both = between("fine and its products", (behind + math.prod(shapes["fine"]),))
             heads |= {"fine": both.view("fine", shapes["fine"]),
                       products: both.view(products, network.shapes[products], behind, "int32")}
-        for name, values in network.constants.items():
-            if name.startswith((CODING, SCALING)):
-                continue
+        for name, values in alike_heads(network).items():
             size = (1, values.shape[1], *self._window.level(int(name[-1])))
             heads[name] = upload(self._device.heap, name, np.broadcast_to(values, size).astype(dtype), dtype)
         return heads
@@ -351,22 +352,24 @@ class Graph:
             self._made["keep"] = self._new("keep", (rows, columns, 1))
         self._seen = {name: self._new(name, shape) for name, shape in seen_by(network).items()}
 
+    def _new_tables(self) -> Tables:
+        return {half: {} for half in self._half.values()}
+
     def _make_tables(self) -> None:
         level = self._window.level
         accumulated = self._new("level 0", (4, *level(0)))
         self._importance = [accumulated.view("importance 0", (1, *level(0)), 3 * math.prod(level(0)))]
         self._importance += [self._new(f"importance {i}", (1, *level(i))) for i in range(1, LEVELS + 1)]
-        size = self._window.rows + 2, self._window.columns + 2
-        self._radiance = {end: self._new(f"radiance {end}", (3 if end == PLAIN else 6, *size))
-                          for end in set(self._ends.values())}
-        filtered, self._filter_order = self._make_pyramid(self._tables, accumulated.view("light 0", (3, *level(0))),
-                                                          self._radiance.get(PLAIN))
+        self._radiance: dict[str, Tensor] = {}
+        filtered, self._filter_order = self._make_pyramid(self._tables, accumulated.view("light 0", (3, *level(0))))
         made = self._made | self._seen | {"level": accumulated, "filtered": filtered}
         self._looks = ("features", "guides", "trust") if self._guided else ("features",)
         for name, kernel in (("dilate", DILATE), ("history", HISTORY),
                              ("features", FEATURE), ("accumulate", ACCUMULATE)):
             self._table(self._tables, name, kernel, **made)
-        for end, radiance in self._radiance.items():
+        for end in set(self._ends.values()):
+            size = (3 if end == PLAIN else 6, self._window.rows + 2, self._window.columns + 2)
+            radiance = self._radiance[end] = self._new(f"radiance {end}", size)
             for name, kernel in zip(("remodulate", "upsample"), ENDS[end], strict=True):
                 self._table(self._tables, f"{name} {end}", kernel, **made, radiance=radiance)
         if self._doubting:
@@ -377,37 +380,25 @@ class Graph:
             self._table(self._tables, "guides", GUIDE, **made)
             self._table(self._tables, "trust", TRUST, **made)
 
-    def _make_pyramid(self, tables: Tables, light: Tensor, radiance: Tensor | None = None) -> tuple[Tensor, list[str]]:
+    def _make_pyramid(self, tables: Tables, light: Tensor) -> tuple[Tensor, list[str]]:
         """Make the tables of the filters, for light (3 n, hp, wp) of the picture or of n parts; returns the filtered
-        light, and the tables' order behind 'accumulate'. On a GPU a filter of radiance takes the place of the last."""
+        light, and the tables' order behind 'accumulate'."""
         def new(name: str, i: int) -> Tensor:
             return self._new(f"{name} {i}", (light.shape[0], *self._window.level(i)))
 
         levels, order = [light, *(new("level", i) for i in range(1, LEVELS + 1))], ["accumulate"]
-        if self._device.gpu:
-            both = {"level": levels, "importance": self._importance}
-            named = {f"{name}{i}": some[i] for name, some in both.items() for i in range(1, LEVELS + 1)}
-            self._table(tables, "pools", POOLS, finer=light, finer_importance=self._importance[0], **named)
-            order.append("pools")
-        for i in range(1, 1 if self._device.gpu else LEVELS + 1):
+        for i in range(1, LEVELS + 1):
             self._table(tables, f"pool {i}", POOL, finer=levels[i - 1], finer_importance=self._importance[i - 1],
                         level=levels[i], importance=self._importance[i])
             order.append(f"pool {i}")
         filtered = [new("filtered", i) for i in range(LEVELS + 1)]
         for i in range(LEVELS, -1, -1):
-            order.append(f"filter {i}")
-            if i < LEVELS and self._device.gpu:
-                mixes = {"coarse": filtered[i + 1], "level": levels[i]}
-                self._table(tables, f"filter {i}", FILTER_MIXED, **mixes, filtered=filtered[i])
-                if i == 0 and radiance:
-                    self._table(tables, f"filter 0 {PLAIN}", FILTER_SHADED, **mixes, factor=self._made["factor"],
-                                radiance=radiance)
-                continue
             mixed = levels[i] if i == LEVELS else new("mixed", i)
-            self._table(tables, f"filter {i}", FILTER, mixed=mixed, filtered=filtered[i])
             if i < LEVELS:
                 self._table(tables, f"mix {i}", MIX_LEVELS, coarse=filtered[i + 1], level=levels[i], mixed=mixed)
-                order.insert(-1, f"mix {i}")
+                order.append(f"mix {i}")
+            self._table(tables, f"filter {i}", FILTER, mixed=mixed, filtered=filtered[i])
+            order.append(f"filter {i}")
         return filtered[0], order
 
     def _table(self, tables: Tables, name: str, kernel: Kernel, **tensors: Tensor) -> None:
@@ -420,19 +411,19 @@ class Graph:
                     named[name][binding] = tensors[binding]
 
     def _place(self, window: Window) -> dict[str, dict[str, Tensor]]:
-        """Tensors that describe a window to the kernels, by table and binding: see `Window.places_of_tables`."""
+        """Tensors that describe a window to the kernels, by binding: for each table of the pyramid, and under '' for
+        all other tables."""
         return self._places.get_or_make(window, lambda: {
             table: {name: upload(self._device.heap, name, array) for name, array in values.items()}
-            for table, values in window.places_of_tables().items()})
+            for table, values in _places(window).items()})
 
     def _bind(self, tables: Mapping[str, ArgumentTable], tensors: Mapping[str, Tensor],
               places: Mapping[str, Mapping[str, Tensor]], heads: Mapping[str, Tensor]) -> None:
         """Bind what changes from window to window, from frame to frame and from layer to layer."""
         for name, table in tables.items():
-            step = " ".join(name.split()[:2])
-            known = {**tensors, **places.get(step, places[""])}
-            if step.startswith(("filter ", "mix ")):
-                known["heads"] = heads["fine" if step[-1] == "0" else f"level{step[-1]}"]
+            known = {**tensors, **places.get(name, places[""])}
+            if name.startswith(("filter ", "mix ")):
+                known["heads"] = heads["fine" if name[-1] == "0" else f"level{name[-1]}"]
             for binding in table.state.bindings:
                 if binding.name in known:
                     table[binding.name] = known[binding.name]
@@ -440,6 +431,18 @@ class Graph:
     def _run(self, encoder: ComputeEncoder, tables: Mapping[str, ArgumentTable], *names: str) -> None:
         for name in names:
             encoder.dispatch(tables[name].state, tables[name])
+
+
+def _places(window: Window) -> dict[str, dict[str, np.ndarray]]:
+    """Arrays that describe a window to the kernels: for each table of the pyramid, and under '' for all other
+    tables."""
+    places = {"": window.places()}
+    for i in range(LEVELS + 1):
+        places[f"filter {i}"] = {"area": window.area(i)}
+    for i in range(LEVELS):
+        places[f"mix {i}"] = dict(zip(("coarse_rows", "coarse_columns"), window.coarser(i), strict=True))
+        places[f"pool {i + 1}"] = dict(zip(("finer_rows", "finer_columns"), window.finer(i + 1), strict=True))
+    return places
 
 
 class ClassicGraph:
