@@ -19,6 +19,7 @@ import numpy as np
 
 from postfx.errors import BindingError, DeviceError, ModelError, PostfxError
 from postfx.frame import LOG
+from postfx.kernels import find_source
 from postfx.kernels.native import BoundRows
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
@@ -38,7 +39,7 @@ from postfx.system import Scratch, usable_cores
 from postfx.version import pip_install
 
 if TYPE_CHECKING:
-    from postfx.kernels import Kernel, find_source
+    from postfx.kernels import Kernel
 
 MINIMUM_ROWS = 4
 """Least rows of a kernel's band: fewer are not worth another thread."""
@@ -253,7 +254,8 @@ class Device:
     def _session(self, content: bytes, library: Library, name: str, placement: Placement, fixed: Dims) -> Session:
         """A network's session, all of whose dimensions are fixed."""
         named = {key: size for key, size in fixed.items() if isinstance(key, str)}
-        session = Session(content, name, placement, named, library.path(name).parent, placement.stream != 0)
+        session = Session(content, name, placement, named, library.path(name).parent,
+                          placement.provider != CPU and placement.stream != 0)
         for value in (*session.inputs, *session.outputs):
             free = [str(size or f"axis {axis}") for axis, size in enumerate(value.shape) if not isinstance(size, int)]
             if free:

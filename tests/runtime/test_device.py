@@ -12,6 +12,7 @@ import onnxruntime
 import pytest
 
 from postfx.kernels import Kernel, find_source, read_source
+from postfx.kernels.denoise.prepare import SCALE
 from postfx.kernels.image import RESAMPLE
 from postfx.runtime import (
     ArgumentTable,
@@ -23,6 +24,7 @@ from postfx.runtime import (
     PortableComputeState,
 )
 from postfx.runtime import device as device_module
+from postfx.runtime.states import CudaComputeState
 from tests import toys
 
 
@@ -260,3 +262,11 @@ def test_a_foreign_kernel_runs_by_the_portable_form_beside_it(tmp_path):
     toys.make_kernels(tmp_path)
     foreign = dataclasses.replace(toys.ADD, folder=tmp_path)
     assert isinstance(Device("cpu", compiled_kernels=False).compute_state(foreign), PortableComputeState)
+
+
+def test_a_gpu_runs_kernels_by_their_cuda_sources_and_others_portably(monkeypatch):
+    device, gpu = Device("cpu"), object()
+    monkeypatch.setattr(Device, "gpu", gpu)
+    state = device.compute_state(SCALE)
+    assert isinstance(state, CudaComputeState) and state._memory is gpu and state._source.name == "prepare.cu"
+    assert isinstance(device.compute_state(toys.ADD), CompiledComputeState)  # the CPU's, as it is no GPU really

@@ -411,8 +411,7 @@ class Graph:
                     named[name][binding] = tensors[binding]
 
     def _place(self, window: Window) -> dict[str, dict[str, Tensor]]:
-        """Tensors that describe a window to the kernels, by binding: for each table of the pyramid, and under '' for
-        all other tables."""
+        """Tensors that describe a window to the kernels, by binding: for each table of the pyramid, '' for others."""
         return self._places.get_or_make(window, lambda: {
             table: {name: upload(self._device.heap, name, array) for name, array in values.items()}
             for table, values in _places(window).items()})
