@@ -2,7 +2,8 @@
 
 const CHANNELS = { colour: 3, diffuse_albedo: 3, specular_albedo: 3, normal: 3, roughness: 1, depth: 1, motion: 2 };
 const ABSENT = { roughness: 0.5, depth: 1 }; // and 0: what stands for a plane that a frame lacks
-const MISS = 1e10;
+const HAZY = ["diffuse_albedo", "specular_albedo", "depth"]; // planes that a volume hides
+const MISS = 1e10, FARTHEST = 1e9, FOUND = 0.12;
 // Metering: see postfx/exposure/__init__.py.
 const [KEY, BLACK, RANGE_EV, BLOCK, MOST_BLOCKS, LIMIT_EV] = [0.18, 2 ** -24, 9, 8, 160, 16];
 
@@ -30,12 +31,27 @@ async function run(runtime, model, feeds) {
 /** Clean colour of a frame: { data, width, height }. `planes` are Float32Arrays by name; `scale` is 1 or 2. */
 export async function denoise(runtime, { planes, width, height, jitter = [0, 0] }, exposure, scale) {
   const feeds = { params: new runtime.ort.Tensor("float32", Float32Array.of(exposure, ...jitter, 1), [4]) };
+  const hidden = planes.depth && showsVolume(planes.depth, width, height) ? HAZY : [];
   for (const [name, channels] of Object.entries(CHANNELS)) {
-    const data = planes[name] ?? new Float32Array(width * height * channels).fill(ABSENT[name] ?? 0);
+    const given = hidden.includes(name) ? null : planes[name];
+    const data = given ?? new Float32Array(width * height * channels).fill(ABSENT[name] ?? 0);
     feeds[name] = new runtime.ort.Tensor("float32", cleaned(name, data), [height, width, channels]);
   }
   const output = await run(runtime, `denoise.${scale}x`, feeds);
   return { data: output.data, width: output.dims[1], height: output.dims[0] };
+}
+
+/** Whether hits and misses of depth are noise: see shows_volume in postfx/passes/denoise/planes.py. */
+export function showsVolume(depth, width, height) {
+  const isHit = depth.map((value) => value > 0 && value < FARTHEST);
+  let [noisy, rows] = [0, 0];
+  for (let y = 1; y < height - 1; y += 2, rows++) {
+    for (let i = y * width + 1; i < (y + 1) * width - 1; i++) {
+      const around = isHit[i - width] + isHit[i + width] + isHit[i - 1] + isHit[i + 1];
+      noisy += isHit[i] ? around <= 1 : around >= 3;
+    }
+  }
+  return noisy > FOUND * Math.max(rows * (width - 2), 1);
 }
 
 /** Numbers as postfx reads them: no NaN, depth of misses beyond everything. */

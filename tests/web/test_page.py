@@ -20,6 +20,7 @@ import pytest
 import postfx
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
+from postfx.passes.denoise.planes import shows_volume
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, SAMPLE = ROOT / "build/page", ROOT / "samples/room/noisy.0006.exr"
@@ -37,12 +38,13 @@ tell({ status: status.textContent, planes: document.getElementById("planes").inn
        loaded: performance.getEntriesByType("resource").map((one) => one.name) });
 """
 READ = """
-const { readFrame } = await import("/page.js"), { meter } = await import("/frame.js"), found = {};
+const { readFrame } = await import("/page.js"), { meter, showsVolume } = await import("/frame.js"), found = {};
 for (const name of NAMES) {
   try {
     const frame = readFrame(await (await fetch(`/${name}`)).arrayBuffer());
     const coded = (plane) => btoa(Array.from(new Uint8Array(plane.buffer), (b) => String.fromCharCode(b)).join(""));
     found[name] = { ...frame, stops: meter(frame.planes.colour, frame.width, frame.height),
+                    volume: frame.planes.depth && showsVolume(frame.planes.depth, frame.width, frame.height),
                     planes: Object.fromEntries(Object.entries(frame.planes).map(([key, one]) => [key, coded(one)])) };
   } catch (error) {
     found[name] = { error: error.message };
@@ -183,6 +185,12 @@ def test_files_of_all_kinds_are_read_as_by_postfx(tmp_path):
         path = kinds[f"{compression}{kind}.exr"] = tmp_path / f"{compression}{kind}.exr"
         small.specmod().attribute("compression", compression)
         small.copy().write(str(path), kind)
+    fog = small.copy()
+    pixels, depth = fog.get_pixels(), fog.spec().channelindex("depth.Z")
+    pixels[np.random.default_rng(0).random(pixels.shape[:2]) < 0.5, depth] = 1e10
+    fog.set_pixels(oiio.ROI(), pixels)
+    kinds["fog.exr"] = tmp_path / "fog.exr"
+    fog.write(str(kinds["fog.exr"]), "float")
     parts = kinds["parts.exr"] = tmp_path / "parts.exr"
     write_parts(frame_of(kinds["zip.exr"]), parts)
     cut = kinds["cut.exr"] = tmp_path / "cut.exr"
@@ -197,6 +205,7 @@ def test_files_of_all_kinds_are_read_as_by_postfx(tmp_path):
         wanted, found = frame_of(kinds[name]), told[name]
         assert (found.get("error"), found["width"], found["height"]) == (None, 70, 45), name
         assert abs(found["stops"] - measure(wanted[Role.COLOUR])) < 1e-3
+        assert found["volume"] == shows_volume(wanted[Role.DEPTH]) == (name == "fog.exr")
         for role in ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion"):
             plane = np.frombuffer(b64decode(found["planes"][role]), np.float32).reshape(45, 70, -1)
             np.testing.assert_array_equal(plane, wanted[Role(role)], err_msg=f"{name}, {role}")
