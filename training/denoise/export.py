@@ -38,7 +38,7 @@ from postfx.passes.denoise.network import FEATURE_PARTS, PHASED_FINE
 from training.denoise.model import Trunk, TrunkConfig, stem
 from training.export import export, export_kernel, parity, parser, read_quality, write_card, write_model
 from training.kernels import denoise as kernels
-from training.kernels import extras
+from training.kernels import extras, parts
 
 CHECKED = (48, 80)  # size at which the export is compared with torch: not the size that is traced
 SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, for 1x",
@@ -80,17 +80,17 @@ KERNELS = {
     UPSAMPLE: kernels.Upsample,
     UPSAMPLE_GUIDED: kernels.UpsampleGuided,
     UPSAMPLE_UNSCALED: kernels.UpsampleUnscaled,
-    REFLECT: extras.Reflect,
-    ACCUMULATE_PART: extras.AccumulatePart,
-    UPSAMPLE_LIGHT: extras.UpsampleLight,
-    BALANCE: extras.Balance,
-    GATHER: extras.Gather,
-    LEVEL: extras.AlphaLevel,
-    ENLARGE_ALPHA: extras.EnlargeAlpha,
-    FIT: extras.Fit,
-    CORRECT: extras.Correct,
-    DECODE: extras.Decode,
-    DECODE_ONE: extras.DecodeOne,
+    REFLECT: parts.Reflect,
+    ACCUMULATE_PART: parts.AccumulatePart,
+    UPSAMPLE_LIGHT: parts.UpsampleLight,
+    BALANCE: parts.Balance,
+    GATHER: parts.Gather,
+    LEVEL: parts.AlphaLevel,
+    ENLARGE_ALPHA: parts.EnlargeAlpha,
+    FIT: parts.Fit,
+    CORRECT: parts.Correct,
+    DECODE: parts.Decode,
+    DECODE_ONE: parts.DecodeOne,
     JUDGE: extras.Judge,
     DETAIL: extras.Detail,
     RESTORE: extras.Restore,
