@@ -34,6 +34,8 @@ MOST_DIGITS = 32
 """Digits that a frame number may be padded to."""
 MOST_FRAMES = 1_000_000
 """Frames from the first to the last of each range that is asked for."""
+MOST_FOLDERS = 4096
+"""Folders that wildcards may fit on each level, so that a search ends soon."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,6 @@ class Pattern:
     @property
     def is_numbered(self) -> bool:
         return self.digits is not None
-
 
     @property
     def has_views(self) -> bool:
@@ -128,8 +129,17 @@ def _join(folder: str, name: str) -> str:
 
 
 def _glob(wild: str) -> list[str]:
-    """Names of files that wildcards fit, as patterns have them: Windows puts backslashes between folders."""
-    return [with_slashes(name) for name in glob.glob(wild)]
+    """Names of files that wildcards fit, as patterns have them: Windows puts backslashes between folders.
+
+    SequenceError when they fit more than MOST_FOLDERS folders on one level.
+    """
+    folder, name = os.path.split(wild)
+    if not glob.has_magic(folder) or folder == wild:
+        return [with_slashes(found) for found in glob.glob(wild)]
+    folders = [glob.escape(found) for found in _glob(folder) if os.path.isdir(found)]
+    if len(folders) > MOST_FOLDERS:
+        raise SequenceError(f"{folder}: the wildcards fit {len(folders)} folders: name more of the folders")
+    return [with_slashes(found) for folder in folders for found in glob.glob(_join(folder, name))]
 
 
 def parse_pattern(text: str) -> Pattern:

@@ -245,3 +245,15 @@ def test_wildcards_pass_over_what_may_not_be_looked_at(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "stat", refuse)
     assert str(locate(tmp_path / "sh*")[0]) == str(tmp_path / "shot.####.exr")
+
+
+def test_wildcards_that_fit_too_many_folders_end_in_one_line(tmp_path, monkeypatch):
+    """So that `/*/*/*/*/shot.####.exr` does not walk through everything that the machine can reach."""
+    for name in "abc":
+        (tmp_path / name / "beauty").mkdir(parents=True)
+    (tmp_path / "a" / "beauty" / "shot.0001.exr").touch()
+    wild = f"{tmp_path}/*/beauty/shot.####.exr"
+    assert str(locate(wild)[0]) == f"{tmp_path}/a/beauty/shot.####.exr"
+    monkeypatch.setattr("postfx.io.pattern.MOST_FOLDERS", 2)
+    with pytest.raises(SequenceError, match=re.escape(f"{tmp_path}/*: the wildcards fit 3 folders: name more")):
+        locate(wild)
