@@ -133,8 +133,9 @@ def find_source(kernel: Kernel) -> Path | None:
 @cache
 def read_source(family: Path) -> str:
     """The source that is compiled for a file of kernels: the declaration of arguments, for our own kernels also the
-    constants and the code that all families share, and the file."""
-    view, own = (SHARED / "view.cuh").read_text(), family.read_text()
+    constants and the code that all families share, then the header of the same name, if there is one, and the file."""
+    view = (SHARED / "view.cuh").read_text()
+    own = "".join(path.read_text() for path in (family.with_suffix(".cuh"), family) if path.exists())
     if not family.is_relative_to(SOURCES):
         return view + own
     source = (SHARED / "common.cuh").read_text() + own

@@ -16,7 +16,7 @@ FAMILIES = sorted(SOURCES.rglob("*.cu"))
 
 
 def constants(path: Path) -> dict[str, int | float]:
-    return constants_of(path, (SHARED / "common.cuh").read_text() + path.read_text())
+    return constants_of(path, read_source(path))
 
 
 def test_constants_are_those_of_the_module_beside_the_file_and_of_the_layout() -> None:

@@ -1,0 +1,354 @@
+// Layers of small networks, for the kernels of neural.cu. What the tensors hold: see postfx/kernels/neural.py.
+//
+// A warp takes 16 or 32 points through all layers in its registers; the weights lie in its block's shared memory, if
+// there is room. Products are made by tensor cores: each number is a sum of two with 11 bits, and three products of
+// these are added up in float32 (Ootomo and Yokota 2022), so that results have float32's precision.
+#ifdef __CUDACC__
+extern __shared__ __align__(16) float memory[];
+
+__device__ inline int shared_floats() {
+    unsigned bytes;
+    asm("mov.u32 %0, %%dynamic_smem_size;" : "=r"(bytes));
+    return int(bytes / 4);
+}
+
+// sums (16, 8) += left (16, 8) right (8, 8), spread over a warp. Of lane 4 g + q: sums of rows g and g + 8, columns 2 q
+// and 2 q + 1; left of the same rows, columns q and q + 4; right of column g, rows q and q + 4.
+__device__ inline void add_product(float (&sums)[4], const unsigned (&left)[4], const unsigned (&right)[2]) {
+    asm("mma.sync.aligned.m16n8k8.row.col.f32.tf32.tf32.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, "
+        "{%0, %1, %2, %3};"
+        : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])
+        : "r"(left[0]), "r"(left[1]), "r"(left[2]), "r"(left[3]), "r"(right[0]), "r"(right[1]));
+}
+#endif
+
+const int WARPS = THREADS / 32, TILE = 16, MOST_POINTS = TILE * WARPS, GROUPED = 4;
+
+__device__ inline int up_to(int size, int unit) {
+    return (size + unit - 1) / unit * unit;
+}
+
+// Rows in shared memory begin at multiples of 32 floats. In row r, column c lies at c ^ turn_of(r): so the numbers that
+// a warp reads at once lie in different banks, be they two columns of 8 rows or 8 columns of 4 rows.
+__device__ inline int turn_of(int row) {
+    return 8 * ((row & 3) ^ (row >> 2 & 1));
+}
+
+// What every block knows of the network: sizes; floats before each layer's inputs in a point's rows, before its
+// parameters in the shared memory, and in the tensor; and what the first layer's inputs are made of.
+struct Network {
+    int layers, inputs, encoded, bands, activation, widest;
+    int size[MOST_LAYERS + 1], rows[MOST_LAYERS + 2], space[MOST_LAYERS + 1], count[MOST_LAYERS + 1];
+    int source[MOST_WIDTH];    // which number of a point
+    float factor[MOST_WIDTH];  // 0 for itself, else half turns for 1; negative for a cosine
+};
+
+// Rows of a layer's weights in the shared memory.
+__device__ inline int height_of(int makes) {
+    return makes <= 8 ? 8 : up_to(makes, 32);
+}
+
+// Floats of these rows.
+__device__ inline int stride_of(int widest) {
+    return widest <= 64 ? 64 : MOST_WIDTH;
+}
+
+__device__ inline void read_network(const View& view, Network& net) {
+    const float* const at = view.at;
+    const int inputs = int(at[INPUTS]), encoded = max(int(at[ENCODED]), 1);
+    if (threadIdx.x == 0) {
+        int size[MOST_LAYERS + 1];  // sizes beyond the last layer are 0
+        int widest = 0, rows = 0, space = 0, count = 0;
+#pragma unroll
+        for (int layer = 0; layer <= MOST_LAYERS; layer++) size[layer] = int(at[SIZES + layer]);
+        net.layers = int(at[LAYERS]), net.inputs = inputs, net.activation = int(at[ACTIVATION]);
+#pragma unroll
+        for (int layer = 0; layer <= MOST_LAYERS; layer++) widest = max(widest, size[layer]);
+#pragma unroll
+        for (int layer = 0; layer <= MOST_LAYERS; layer++) {
+            net.size[layer] = size[layer], net.rows[layer] = rows, net.space[layer] = space, net.count[layer] = count;
+            rows += up_to(size[layer], 32);
+            const int makes = layer < MOST_LAYERS ? size[layer + 1] : 0;
+            space += makes ? (height_of(makes) + 1) * stride_of(widest) : 0;
+            count += (size[layer] + 1) * makes;
+        }
+        net.rows[MOST_LAYERS + 1] = rows, net.widest = widest;
+    }
+    for (int column = threadIdx.x; column < MOST_WIDTH; column += THREADS) {
+        const int pair = max(column - inputs, 0) / 2, band = pair / encoded;
+        const float turns = float(1 << min(band, 30));
+        net.source[column] = column < inputs ? column : pair % encoded;
+        net.factor[column] = column < inputs ? 0.0f : (column - inputs) % 2 ? -turns : turns;
+    }
+    __syncthreads();
+}
+
+// A layer's parameters. In the shared memory rows have `stride` floats, 0 beside the weights, and the last is the bias.
+struct Layer {
+    const float *weights, *biases;
+    int reads, makes;
+};
+
+template <int WIDTH, bool SHARED>
+__device__ inline Layer layer_of(const Network& net, int layer, const float* at) {
+    const int reads = net.size[layer], makes = net.size[layer + 1];
+    at += SHARED ? net.space[layer] : net.count[layer];
+    return {at, at + (SHARED ? height_of(makes) * WIDTH : reads * makes), reads, makes};
+}
+
+// Copy all parameters into the shared memory, where they are after a barrier. Many are read before any is written,
+// because each alone would wait for the card's memory.
+template <int WIDTH>
+__device__ inline void load_layers(const Network& net, const float* parameters, float* shared) {
+    const int many = 16;
+    for (int layer = 0; layer < net.layers; layer++) {
+        const Layer from = layer_of<WIDTH, false>(net, layer, parameters);
+        const int height = height_of(from.makes), floats = height * WIDTH;
+        float* const to = shared + net.space[layer];
+        const float bias = threadIdx.x < from.makes ? from.biases[threadIdx.x] : 0.0f;
+        for (int begin = threadIdx.x; begin < floats; begin += many * THREADS) {
+            float values[many];
+#pragma unroll
+            for (int n = 0; n < many; n++) {
+                const int k = begin + n * THREADS, j = k / WIDTH, i = k % WIDTH;
+                values[n] = j < from.makes && i < from.reads ? from.weights[j * from.reads + i] : 0.0f;
+            }
+#pragma unroll
+            for (int n = 0; n < many; n++) {
+                const int k = begin + n * THREADS, j = k / WIDTH, i = k % WIDTH;
+                if (k < floats) to[j * WIDTH + (i ^ turn_of(j))] = values[n];
+            }
+        }
+        if (threadIdx.x < WIDTH) to[floats + threadIdx.x] = bias;
+    }
+    __syncthreads();
+}
+
+// Sine of whole pi + rest: Taylor series, absolute error below 2e-7 for rest in [-pi/2, pi/2].
+__device__ inline float sine_of(float whole, float rest) {
+    const float square = rest * rest, half = whole * 0.5f, sign = 1.0f - 4.0f * (half - floorf(half));
+    float sine = -1.0f / 39916800.0f;
+    sine = sine * square + 1.0f / 362880.0f;
+    sine = sine * square - 1.0f / 5040.0f;
+    sine = sine * square + 1.0f / 120.0f;
+    sine = sine * square - 1.0f / 6.0f;
+    return sign * (sine * square * rest + rest);
+}
+
+// A number's sine or cosine that the first layer reads.
+__device__ inline float feature_of(float number, float factor) {
+    const float turns = number * fabsf(factor), whole = floorf(turns + 0.5f), rest = turns - whole;
+    return sine_of(whole, PI * (factor < 0.0f ? 0.5f - fabsf(rest) : rest));
+}
+
+// GELU (Abramowitz and Stegun 7.1.26) and sine, as on the CPU, and their slopes; a ReLU is made where the sums are.
+__device__ inline void activate(int kind, float& z, float& slope) {
+    if (kind == SINE) {
+        const float whole = floorf(z * (1.0f / PI) + 0.5f);  // pi in three parts, the first two of few bits
+        const float rest = z - whole * 3.140625f - whole * 9.67502593994e-4f - whole * 1.50995799e-7f;
+        slope = sine_of(whole, 0.5f * PI - fabsf(rest));
+        z = sine_of(whole, rest);
+        return;
+    }
+    const float size = fabsf(z) * 0.7071067811865476f, bell = expf(fmaxf(-size * size, -80.0f));
+    const float t = 1.0f / (1.0f + 0.3275911f * size);
+    float tail = 1.061405429f * t - 1.453152027f;
+    tail = tail * t + 1.421413741f;
+    tail = tail * t - 0.284496736f;
+    tail = (tail * t + 0.254829592f) * t * bell * 0.5f;
+    const float share = z > 0.0f ? 1.0f - tail : tail;
+    slope = share + z * bell * 0.3989422804014327f;
+    z *= share;
+}
+
+union Bits {
+    float number;
+    unsigned bits;
+};
+
+// A number as the sum of two that tensor cores take, which have 11 bits.
+__device__ inline void split(float value, unsigned& high, unsigned& low) {
+    Bits whole, rest;
+    whole.number = value;
+    whole.bits = (whole.bits + 0x1000u) & ~0x1fffu;
+    rest.number = value - whole.number;
+    high = whole.bits;
+    low = rest.bits;
+}
+
+// The sums of a warp: for DEPTH times 16 points up to 8 TILES numbers. Of lane 4 g + q: of points g and g + 8, numbers
+// 2 q and 2 q + 1 of each eight.
+template <int TILES, int DEPTH>
+using Sums = float[DEPTH][TILES][4];
+
+// sums += rows right, for `steps` times 8 numbers of a warp's rows to `tiles` times 8. `right(step, tile)` is what this
+// lane needs of an (8, 8) block: rows 2 q and 2 q + 1, column g. Tensor cores round towards 0, so that sums over many
+// steps are made outside of them.
+template <int TILES, int DEPTH, int GROUP, class Right>
+__device__ inline void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int width, int steps, int tiles,
+                                Right right) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
+#pragma unroll(TILES > 8 ? 1 : 2)
+    for (int step = 0; step < steps; step++) {
+        const float* const at = rows + g * width + ((8 * step) ^ turn) + 2 * q;
+        unsigned high[DEPTH][4], low[DEPTH][4];
+#pragma unroll
+        for (int k = 0; k < 2 * DEPTH; k++) {
+            const Pair both = *reinterpret_cast<const Pair*>(at + 8 * k * width);
+            split(both.x, high[k / 2][k % 2], low[k / 2][k % 2]);
+            split(both.y, high[k / 2][2 + k % 2], low[k / 2][2 + k % 2]);
+        }
+#pragma unroll
+        for (int first = 0; first < (GROUP == 1 ? 1 : TILES); first += GROUP) {
+            if (first >= tiles) break;
+            unsigned whole[GROUP][2], rest[GROUP][2];
+            float parts[DEPTH][GROUP][4] = {};
+#pragma unroll
+            for (int n = 0; n < GROUP; n++) {
+                const Pair both = right(step, first + n);
+                split(both.x, whole[n][0], rest[n][0]);
+                split(both.y, whole[n][1], rest[n][1]);
+            }
+#pragma unroll
+            for (int k = 0; k < 3 * DEPTH * GROUP; k++) {  // small products first
+                const int d = k % DEPTH, n = k / DEPTH % GROUP, what = k / DEPTH / GROUP;
+                add_product(parts[d][n], what == 0 ? low[d] : high[d], what == 1 ? rest[n] : whole[n]);
+            }
+#pragma unroll
+            for (int d = 0; d < DEPTH; d++) {
+#pragma unroll
+                for (int k = 0; k < 4 * GROUP; k++) sums[d][first + k / 4][k % 4] += parts[d][k / 4][k % 4];
+            }
+        }
+    }
+}
+
+template <int TILES, int DEPTH, class Right>
+__device__ inline void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int inner, int columns, Right right) {
+    const int steps = (inner + 7) / 8, tiles = (columns + 7) / 8, width = up_to(inner, 32);
+    if (tiles > 1) {
+        add_rows<TILES, DEPTH, 4>(sums, rows, width, steps, tiles, right);
+    } else {
+        add_rows<TILES, DEPTH, 1>(sums, rows, width, steps, tiles, right);
+    }
+}
+
+// Call `call(tile, half, pair)` for all pairs of numbers that this lane has of 16 points' rows.
+template <int TILES, class Call>
+__device__ inline void each_pair(float* at, int width, Call call) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
+#pragma unroll
+    for (int n = 0; n < TILES; n++) {
+        if (8 * n >= width) break;
+#pragma unroll
+        for (int r = 0; r < 2; r++) {
+            call(n, r, *reinterpret_cast<Pair*>(at + (g + 8 * r) * width + ((8 * n) ^ turn) + 2 * q));
+        }
+    }
+}
+
+// What the first layer reads of some points, and 0 beside it, in a warp's rows; from `end` on points are 0. Numbers of 16
+// points are read before any is used, because each alone would wait for the card's memory.
+__device__ inline void encode_points(const Network& net, const View& points, int first, int end, int count,
+                                     float* rows) {
+    const int width = up_to(net.size[0], 32);
+    for (int column = threadIdx.x % 32; column < width; column += 32) {
+        const bool is_there = column < net.size[0];
+        const float factor = is_there ? net.factor[column] : 0.0f;
+        const float* const from = points.at + size_t(first) * net.inputs + net.source[column];
+        for (int begin = 0; begin < count; begin += TILE) {
+            float numbers[TILE];
+#pragma unroll
+            for (int k = 0; k < TILE; k++) {
+                numbers[k] = is_there && first + begin + k < end ? from[(begin + k) * net.inputs] : 0.0f;
+            }
+#pragma unroll
+            for (int k = 0; k < TILE; k++) rows[(begin + k) * width + (column ^ turn_of(k))] = numbers[k];
+        }
+        if (factor == 0.0f) continue;
+#pragma unroll 4
+        for (int p = 0; p < count; p++) {
+            float& number = rows[p * width + (column ^ turn_of(p))];
+            number = feature_of(number, factor);
+        }
+    }
+    __syncwarp();
+}
+
+// A layer of DEPTH times 16 points, before its activation; beyond the columns that it makes numbers are of no use.
+template <int TILES, int DEPTH, bool SHARED>
+__device__ inline void run_layer(const Layer& layer, const float* rows, Sums<TILES, DEPTH>& sums) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
+#pragma unroll
+    for (int n = 0; n < TILES; n++) {
+#pragma unroll
+        for (int k = 0; k < 4; k++) {
+            const int column = 8 * n + 2 * q + k % 2;
+            const float bias = SHARED || column < layer.makes ? layer.biases[column] : 0.0f;
+#pragma unroll
+            for (int d = 0; d < DEPTH; d++) sums[d][n][k] = bias;
+        }
+    }
+    multiply<TILES, DEPTH>(sums, rows, layer.reads, layer.makes, [&](int step, int tile) {
+        if (SHARED) {
+            const float* const row = layer.weights + (8 * tile + g) * 8 * TILES;
+            return *reinterpret_cast<const Pair*>(row + ((8 * step) ^ turn) + 2 * q);
+        }
+        const float* const row = layer.weights + min(8 * tile + g, layer.makes - 1) * layer.reads;
+        const int column = 8 * step + 2 * q, last = layer.reads - 1;
+        return Pair{row[min(column, last)], row[min(column + 1, last)]};
+    });
+}
+
+// A layer's activation of 16 points in a warp's rows, 0 beside what it makes, and slopes unless it is a ReLU.
+template <int TILES>
+__device__ inline void activate_rows(int kind, int makes, const float (&sums)[TILES][4], float* rows, float* slopes) {
+    const int width = up_to(makes, 32), q = threadIdx.x % 4, column = threadIdx.x % 32;
+    each_pair<TILES>(rows, width, [&](int n, int r, Pair& pair) {
+        const float x = sums[n][2 * r], y = sums[n][2 * r + 1];
+        pair.x = 8 * n + 2 * q < makes ? kind == RELU ? fmaxf(x, 0.0f) : x : 0.0f;
+        pair.y = 8 * n + 2 * q + 1 < makes ? kind == RELU ? fmaxf(y, 0.0f) : y : 0.0f;
+    });
+    __syncwarp();
+    if (kind == RELU) return;
+#pragma unroll 2
+    for (int k = 0; k < TILE * width; k += 32) {  // the same numbers: this code is too long to be there for each
+        float slope;
+        const int p = k / width, c = k % width + column, at = p * width + (c ^ turn_of(p));
+        if (c >= makes) continue;
+        activate(kind, rows[at], slope);
+        if (slopes) slopes[at] = slope;
+    }
+    __syncwarp();
+}
+
+template <int TILES, int DEPTH, bool SHARED>
+__device__ inline void run_all(const Network& net, const float* weights, const View& points, const View& values) {
+    const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0], last = net.layers - 1;
+    const int warp = threadIdx.x / 32, together = TILE * DEPTH;
+    float* const rows = memory + warp * together * 8 * TILES;
+    for (int tile = blockIdx.y + warp * gridDim.y; tile * together < total; tile += gridDim.y * WARPS) {
+        const int first = tile * together;
+        encode_points(net, points, first, total, together, rows);
+        for (int index = 0; index <= last; index++) {
+            const Layer layer = layer_of<8 * TILES, SHARED>(net, index, weights);
+            Sums<TILES, DEPTH> sums;
+            run_layer<TILES, DEPTH, SHARED>(layer, rows, sums);
+            __syncwarp();
+            if (index < last) {
+                const int size = TILE * up_to(layer.makes, 32);
+#pragma unroll
+                for (int d = 0; d < DEPTH; d++) {
+                    activate_rows(net.activation, layer.makes, sums[d], rows + d * size, nullptr);
+                }
+                continue;
+            }
+#pragma unroll
+            for (int k = 0; k < 4 * TILES * DEPTH; k++) {
+                const int d = k / 4 / TILES, n = k / 4 % TILES, column = 8 * n + 2 * q + k % 2;
+                const int p = first + TILE * d + g + k % 4 / 2 * 8;
+                if (column < layer.makes && p < total) values.at[size_t(p) * layer.makes + column] = sums[d][n][k % 4];
+            }
+        }
+    }
+}
