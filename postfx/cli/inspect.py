@@ -72,7 +72,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 STYLES = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 VERDICTS = {0: "nothing wrong was found", 1: "there are warnings", 2: "there are errors"}
-INDENT = " " * 9
+INDENT, SHOWN = " " * 9, 12
 
 
 def print_text(facts: dict[str, Any], exit_code: int) -> None:
@@ -101,11 +101,18 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
         "",
         *_guide_lines(facts["guides"]),
         *(f"missing  {item['role']}{': ' + item['fix'] if item['fix'] else ''}" for item in facts["missing"]),
+        *_unread_lines(facts["unread"]),
         *(f"header   {name}: {value}" for name, value in facts["header"].items()),
         *(f"warning  {warning}" for warning in facts["warnings"]),
         *_absent_lines(facts["absent_frames"]),
         *([f"wrote    {len(facts['pictures'])} pictures: {facts['pictures'][0]} ..."] if facts["pictures"] else []),
     ]
+
+
+def _unread_lines(layers: list[str]) -> list[str]:
+    """What the file holds beside the planes, in one line."""
+    more = f" and {len(layers) - SHOWN} more, see --json" if len(layers) > SHOWN else ""
+    return [f"unread   {'; '.join(layers[:SHOWN])}{more}"] if layers else []
 
 
 def _finding_lines(finding: dict[str, str]) -> list[str | Text]:

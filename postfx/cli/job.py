@@ -112,6 +112,7 @@ class Job:
         with ExitStack() as stack:
             files = stack.enter_context(self.sequence.open(self.first))
             self.skips += explain_overlay(arguments, files)
+            self._channels = {role: match.names for role, match in files.layout.planes.items()}
             spec = files.spec()
             self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards else spec)
             others = [stack.enter_context(self.sequence.reader(view).open(self.first)) for view in self.sequence.views]
@@ -127,6 +128,7 @@ class Job:
             standin = Standin(self.sequence, plain, device, exposure)
         self._faults = Faults(policy, standin)
         self._warnings: list[str] = []
+        self._first_look: list[str] | None = None
         self._capture = self._make_capture(device) if arguments.capture else None
         self._page = self._make_page() if arguments.report else None
         self._seconds, self._preparation = 0.0, Preparation()
@@ -226,7 +228,7 @@ class Job:
             pass_ms=self._pass_ms,
             ahead_ms=self._ahead_ms,
             skips=[*self.plan.skips, *self.skips, *self.pipeline.savings()],
-            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings,
+            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *(self._first_look or ()),
                       *(self._capture.warnings if self._capture else ()),
                       *self._exposure.warnings(),
                       *warn_of_budget(self._arguments.budget, self._pass_ms, self._choices)],
@@ -316,6 +318,7 @@ class Job:
                         run.recall(work, frame)
                     continue
                 if frame is not None:
+                    self._look_once(frame, progress)
                     frame.reset = frame.reset or is_unseen
                     ahead = partial(self._look_ahead, frame, work.write, stop, progress)
                     frame = self._faults.attempt(work.number, work.write, ahead)
@@ -330,6 +333,16 @@ class Job:
                     behind.put(partial(self._write, run, done, progress))
                 run.end_frame(work.number, behind.wait, stop.is_requested)
                 stop.check()
+
+    def _look_once(self, frame: Frame, progress: FrameProgress) -> None:
+        """Tell what is plainly wrong with the planes of the first frame at once, not after a night."""
+        if self._first_look is not None or self._arguments.no_denoise:
+            return
+        from postfx.doctor.inspection import look_once  # loads the doctor, which other verbs' starts need not wait for
+
+        self._first_look = look_once(frame, self._channels)
+        for text in self._first_look:
+            progress.note(f"warning  {text}")
 
     def _look_ahead(self, frame: Frame, write: bool, stop: Stop, progress: FrameProgress) -> Frame:
         """The frame with what those after it make of it, for --both-ways."""

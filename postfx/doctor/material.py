@@ -39,6 +39,7 @@ class Material:
         measured: numbers of the frames that were measured: `frames` and some of the rest of the sequence.
         unread: layers that may be motion; empty if a profile reads motion.
         read_motion: how the file's motion is read, if it is.
+        other_layers: what the first frame's files hold beside the planes: 'AO.R,G,B'.
     """
 
     frames: list[Frame]
@@ -49,6 +50,7 @@ class Material:
     measured: list[int] = field(default_factory=list)
     unread: list[UnreadMotion] = field(default_factory=list)
     read_motion: ReadMotion | None = None
+    other_layers: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.stored = {role: sum_values(count_values(frame[role]) for frame in self.frames if role in frame)
@@ -125,9 +127,10 @@ def read_material(sequence: Sequence) -> Reading:
         stored = [_count_stored(files, first)]
         frames = [_read_unclamped(files, first)]
         layout, guides = files.layout, files.guides
+        others = files.unread()
         unread = {layer: [pixels] for layer, pixels in _read_pairs(files).items()}
         names = {layer: _letters(channels) for layer, channels in files.unread_motion().items()}
-    material = Material(frames, {}, {role: hint for role in Role if (hint := _hint(layout, role))})
+    material = Material(frames, {}, {role: hint for role in Role if (hint := _hint(layout, role))}, other_layers=others)
     most = max(2, min(MOST_FRAMES, MOST_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
     ranges = [_ranges(frames[0])]
     numbers = _consecutive(sequence, most)

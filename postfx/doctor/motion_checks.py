@@ -261,6 +261,22 @@ def _untested(material: Material) -> Iterator[Finding]:
                    "no pair of frames that belong together and show contrast", "give more frames of one shot")
 
 
+CODED = 0.2  # how far the median may be from the colour 0.5
+
+
+def check_motion_coded(material: Material) -> Iterator[Finding]:
+    """Motion that is read as pixels, but holds colours 0..1 with 0.5 for none, which a single frame shows."""
+    if Role.MOTION not in material.first:
+        return
+    motion = material.first[Role.MOTION].reshape(-1, 2)
+    least, most, typical = motion.min(0), motion.max(0), np.abs(np.median(motion, axis=0))
+    one_sign = ((least >= 0) | (most <= 0)).all()
+    if one_sign and np.abs(motion).max(initial=0) <= 1 and (np.abs(typical - 0.5) < CODED).all():
+        evidence = f"all between 0 and 1 pixel, of one sign, around {typical[0]:.2g}, {typical[1]:.2g}"
+        yield warning(Role.MOTION, "motion-coded", evidence, "colours around 0.5, not pixels", "write vectors in "
+                      "pixels, or in a profile offset = [-0.5, -0.5] and their unit (docs/reference/renderers.md)")
+
+
 LEAST_MOVE = 1.0  # pixels: below, a texture that stays in place looks like noise that stays in place
 REPEATED = 0.15
 ONE_SEED = ("the same random seed in every frame",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -16,6 +17,12 @@ from postfx.doctor.material import Material
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.sampling import local_mean
+
+_MAY_BE = {role: re.compile(words, re.IGNORECASE) for role, words in {
+    Role.DIFFUSE_ALBEDO: r"albedo|diff\w*[ _]?(filter|col)|base[ _]?col", Role.ROUGHNESS: r"rough",
+    Role.SPECULAR_ALBEDO: r"spec\w*[ _]?albedo|refl\w*[ _]?filter|gloss\w*[ _]?col",
+    Role.NORMAL: r"norm|(^|[._ ])n(n|s|g|world)?\.", Role.DEPTH: r"depth|(^|[._ ]|hit)p?z$"}.items()}
+"""Names of layers that may be a plane. Motion has a check of its own, which measures."""
 
 
 class Cost(NamedTuple):
@@ -62,6 +69,8 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
         if role in material.first or role in material.first.guides:
             continue
         evidence = f"no plane; without it results were {cost.least:.2f} to {cost.most:.2f} dB worse (docs/quality.md)"
+        maybe = [name for name in material.other_layers if role in _MAY_BE and _MAY_BE[role].search(name)][:MOST_LISTED]
+        evidence += f"; in the file, but not read: {'; '.join(maybe)}" if maybe else ""
         where = material.enable.get(role, "")
         fix = f"switch it on: {where}" if where else "render it, or name it in a profile (--profile FILE.toml)"
         alone = role is Role.MOTION and not material.pairs

@@ -173,12 +173,15 @@ class ChannelIndex:
         names = [name for name, _ in self._everything.channels.values() if "." in name]
         return list(dict.fromkeys(make_printable(name.partition(".")[0]) for name in names))
 
-    def contents(self) -> list[str]:
-        """What the files hold, layer by layer: 'albedo.R,G,B'."""
+    def contents(self, without: Iterable[Channel] = ()) -> list[str]:
+        """What the files hold, layer by layer, except some channels: 'albedo.R,G,B'."""
+        left_out = {(id(channel.part), channel.name) for channel in without}
         layers: dict[str, list[str]] = {}
         for file in self._files.values():
             for part in file.parts:
                 for name in part.channels:
+                    if (id(part), name) in left_out:
+                        continue
                     layer, _, letter = name.rpartition(".")
                     layers.setdefault(layer or (part.name if len(file.parts) > 1 else ""), []).append(letter)
         return [make_printable(f"{layer}{'.' * bool(layer)}{','.join(letters)}") for layer, letters in layers.items()]

@@ -95,6 +95,8 @@ def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int, heig
     missed = ~np.isfinite(stored)
     if rule.miss is not None:
         missed |= stored == np.float32(rule.miss)
+    if rule.kind in ("planar", "ray") and not any(rule.offset):
+        missed |= stored == 0  # no surface lies in the eye: many renderers write this where nothing was hit
     plane = _affine(np.where(missed, 0, stored), rule)
     missed |= plane >= DEPTH_MISS
     return np.ascontiguousarray(np.where(missed, DEPTH_MISS, _planar(plane, rule, camera, first, height)), np.float32)

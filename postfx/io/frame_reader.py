@@ -296,6 +296,12 @@ class FrameFiles:
             f"{remedy}{choose}, or name it in a profile (--profile FILE.toml){there}"
         )
 
+    def unread(self) -> list[str]:
+        """Layers of the frame's files that no plane, part or guide is read from: 'AO.R,G,B'."""
+        found = [*self.layout.planes.values(), *(self.guides.planes.values() if self.guides else ())]
+        used = [channel for each in (*found, *self.parts.values()) for channel in each.channels]
+        return self._index.contents(used)
+
     def unread_motion(self) -> dict[str, tuple[Channel, ...]]:
         """Layers of the colour's size whose names suggest motion, and their channels; none where motion is read."""
         if Role.MOTION in self.layout.planes or Role.COLOUR not in self.layout.planes:

@@ -352,7 +352,8 @@ class Sequence:
         motion = motion_between(before, picture, frame.planes.get(Role.DEPTH))
         self._pictures[self.view] = frame.number, picture
         if is_wanted or motion.any():
-            self._warn("motion is estimated from albedo, normal and depth, not of the files (--motion file)")
+            seen = ", ".join(role for role in (*SEEN, Role.DEPTH) if role in frame.planes)
+            self._warn(f"motion is estimated from {seen}, not taken from the files (--motion file: from them alone)")
             frame.planes[Role.MOTION] = motion
 
     def _picture_before(self, number: int) -> Picture | None:

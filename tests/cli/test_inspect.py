@@ -166,3 +166,32 @@ def test_depth_is_checked_as_it_would_be_read(inspect, broken_room):
 def test_depth_that_cannot_be_understood_is_an_error_line(postfx):
     done = postfx("inspect", ROOM, "--depth", "z")
     assert done.code == 2 and done.out == "" and done.err.startswith("error: depth 'z': begin with planar, ray, device")
+
+
+def test_layers_that_are_not_read_are_listed_and_may_be_what_is_missing(inspect, write_exr, capsys):
+    names = (*"RGB", "zDepth.Z", *(f"normals.{letter}" for letter in "XYZ"), *(f"AO.{letter}" for letter in "RGB"))
+    path = write_exr("a.exr", {name: np.random.default_rng(1).random((16, 16)) for name in names})
+    _, found = inspect(path)
+    assert sorted(found["unread"]) == ["AO.R,G,B", "normals.X,Y,Z", "zDepth.Z"]
+    missing = {finding["role"]: finding["evidence"] for finding in found["findings"] if "missing" in finding["code"]}
+    assert missing["normal"].endswith("in the file, but not read: normals.X,Y,Z")
+    assert missing["depth"].endswith("in the file, but not read: zDepth.Z")
+    assert "not read" not in missing["diffuse_albedo"]
+    main(["inspect", str(path)])
+    assert "unread   AO.R,G,B; normals.X,Y,Z; zDepth.Z\n" in capsys.readouterr().out
+
+
+def test_a_run_tells_before_its_first_frame_what_is_plainly_wrong(broken_room, tmp_path, capsys):
+    wrong = {"depth_Z": np.negative, "normal_X": lambda x: (x + 1) / 2, "normal_Y": lambda y: (y + 1) / 2,
+             "normal_Z": lambda z: (z + 1) / 2, "motion_X": lambda x: x / 64 + 0.5, "motion_Y": lambda y: y / 64 + 0.5}
+    run = ["run", str(broken_room(**wrong)), "-o", str(tmp_path / "out.####.exr"), "--model=classic", "--frames=2"]
+    assert main([*run, "--json"]) == 0
+    done = capsys.readouterr()
+    told = [text for text in json.loads(done.out)["warnings"] if text.startswith("plane ")]
+    assert [text.partition(":")[0] for text in told] == [
+        "plane depth (depth.Z), frame 2", "plane normal (normal.X,Y,Z), frame 2", "plane motion (motion.X,Y), frame 2"]
+    assert all("; likely: " in text and "; fix: " in text for text in told)
+    assert done.err.index("negative, least") < done.err.index("1/1 "), "at once, not at the end"
+    run[1] = ROOM
+    assert main([*run, "--overwrite", "--json"]) == 0
+    assert not any(text.startswith("plane ") for text in json.loads(capsys.readouterr().out)["warnings"])

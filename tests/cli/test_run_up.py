@@ -22,7 +22,7 @@ def pixels(path):
 def test_first_frames_have_a_history(postfx, noise):
     done = postfx(*RUN, "-o", "with/a.####.exr", "--json")
     assert done.json["run_up"]["frames"] == 5
-    assert done.err.splitlines()[1] == "before frame 1: a run-up from frame 6"
+    assert "before frame 1: a run-up from frame 6" in done.err.splitlines()
     assert "5 frames in reverse order, for a history of the first ones" in done.err
     done = postfx(*RUN, "-o", "without/a.####.exr", "--run-up", "0", "--json")
     assert done.json["run_up"] == {"frames": 0, "ms_per_frame": None}

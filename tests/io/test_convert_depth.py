@@ -56,6 +56,12 @@ def test_every_kind_by_option(write_depth, option):
     np.testing.assert_allclose(depth_of(read_sequence(write_depth(STORED[option]), depth=option)), DEPTH, rtol=1e-4)
 
 
+@pytest.mark.parametrize("option", [None, "planar", f"ray,fov={FOV}"])
+def test_a_depth_of_0_is_a_miss_without_being_told(write_depth, option):
+    stored = np.where(HIT, DEPTH * (ray_lengths() if option and "ray" in option else 1), 0)
+    np.testing.assert_allclose(depth_of(read_sequence(write_depth(stored), depth=option)), DEPTH, rtol=1e-4)
+
+
 def test_profile_and_header(write_depth, tmp_path):
     profile = tmp_path / "own.toml"
     text = 'extends = "generic"\n[[plane]]\nrole = "depth"\nnames = ["depth"]\nchannels = ["Z"]\nkind = "device"\n'

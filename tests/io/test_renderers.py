@@ -212,6 +212,9 @@ LAYOUTS = {
     "V-Ray, 3ds Max, without its header": Layout("v-ray", V_RAY_MAX, ALBEDOS),
     "V-Ray, Maya": Layout("v-ray", V_RAY_MAYA, ALBEDOS, {"vrayInfo/vrayversion": "Version of V-Ray for Maya 3.60.05"}),
     "V-Ray, Maya, without its header": Layout("v-ray", V_RAY_MAYA, ALBEDOS),
+    "V-Ray, its denoiser's elements, without its header": Layout(
+        "v-ray", picture() | store("effectsResult", "RGB", OTHER) | store("diffuseFilter", "RGB", DIFFUSE)
+        | store("bumpNormals", "XYZ", IN_CAMERA) | store("noiseLevel", "RGB", OTHER), {Role.DIFFUSE_ALBEDO}),
     "V-Ray, Max Velocity known": Layout("v-ray", V_RAY_MAX, ALBEDOS | {Role.MOTION}, camera="max_velocity = 20"),
     "RenderMan": Layout("renderman", picture("Ci", "rgb") | store("a", "", ALPHA) | RENDERMAN, RENDERMAN_ROLES),
     "RenderMan, asrgba": Layout("renderman", picture() | RENDERMAN, RENDERMAN_ROLES),
@@ -242,6 +245,9 @@ LAYOUTS = {
     "Karma": Layout(
         "karma", picture("C") | store("N", "XYZ", NORMAL) | store("albedo", "RGB", DIFFUSE) | store("hitPz", "", DEPTH)
         | store("motionvectors", "RG", OTHER) | store("directdiffuse", "RGB", OTHER), SURFACE, HUSK),
+    "Karma, the picture as RGBA": Layout(
+        "karma", picture() | store("N", "XYZ", NORMAL) | store("albedo", "RGB", DIFFUSE)
+        | store("hitPz", "Z", depth_with(0)) | store("directdiffuse", "RGB", OTHER), SURFACE),
     "Mantra": Layout(
         "mantra", picture() | store("N", "XYZ", IN_CAMERA) | store("Pz", "", DEPTH) | store("P", "XYZ", OTHER)
         | store("basecolor", "RGB", DIFFUSE) | store("all_comp", "RGB", OTHER), SURFACE, CAMERA),
