@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -33,7 +33,7 @@ from postfx.io.layout import (
 from postfx.io.masks import LeftAlone
 from postfx.io.parts import PartOptions, find_parts, read_parts
 from postfx.io.profile import Profile, load_profile
-from postfx.io.windows import AREA, Window
+from postfx.io.windows import AREA, Part, Window
 from postfx.masks.cryptomatte import Entry
 from postfx.system import Scratch
 
@@ -98,24 +98,28 @@ def read_planes(
         # A piece takes memory as it is read, with channels between the wanted ones, and again as it is converted.
         row_bytes = 8 * sum(planes[role].nbytes for role in alike) // size[1]
         for first, last in scratch.pieces(size[1], row_bytes) if scratch else _pieces(size[1], channels):
-            pixels = read_channels(channels, (first, last))
+            pieces = {role: planes[role][first:last] for role in alike}
+            if not _read_straight(alike, pieces, (first, last)):
+                pixels = read_channels(channels, (first, last))
+                for role, match in alike.items():
+                    np.stack([pixels[channel] for channel in match.channels], axis=-1, out=pieces[role])
             for role, match in alike.items():
-                piece = planes[role][first:last]
-                put_together([pixels[channel] for channel in match.channels], piece)
-                found = convert(piece, match.rule, camera, first, size[1])
-                if found is not piece:
-                    piece[:] = found
+                found = convert(pieces[role], match.rule, camera, first, size[1])
+                if found is not pieces[role]:
+                    pieces[role][:] = found
     return planes
 
 
-def put_together(channels: Sequence[np.ndarray], plane: np.ndarray) -> None:
-    """Write channels (rows, columns) side by side into a plane (rows, columns, channels)."""
-    from postfx.kernels.pixel_formats import interleave  # loads Numba, which headers must not wait for
-
-    if len(channels) == 3 and all(one.dtype == np.float32 and one.flags.carray for one in (*channels, plane)):
-        interleave(*channels, plane)
-    else:
-        np.stack(channels, axis=-1, out=plane)
+def _read_straight(matches: Mapping[Role, Match], pieces: Mapping[Role, np.ndarray], rows: tuple[int, int]) -> bool:
+    """Read rows into pieces of planes as they are unpacked; whether all are stored so that it can be done."""
+    if not all(are_together(match.channels) for match in matches.values()):
+        return False
+    of_parts: dict[tuple[ImageFile, int], tuple[Part, list[tuple[list[str], np.ndarray]]]] = {}
+    for role, match in matches.items():
+        first = match.channels[0]
+        _, planes = of_parts.setdefault((first.file, first.part.index), (first.part, []))
+        planes.append(([channel.name for channel in match.channels], pieces[role]))
+    return all(file.read_planes(part, planes, rows) for (file, _), (part, planes) in of_parts.items())
 
 
 def _check(match: Match) -> None:

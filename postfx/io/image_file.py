@@ -19,7 +19,7 @@ import OpenImageIO as oiio
 
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
-from postfx.io.exr.container import MAX_SIDE, ExrContainer, ZipReader
+from postfx.io.exr.container import MAX_SIDE, ExrContainer, NamedPlanes, ZipReader
 from postfx.io.windows import Part, Window, assign_windows, part_of, some_rows, to_area
 
 READABLE = (".exr", ".hdr")
@@ -102,8 +102,8 @@ class ImageFile:
         early or its pixels cannot be decoded.
         """
         part = part if rows is None else some_rows(part, *rows)
-        planes = self._read_zip(part, [*channels])
-        if planes is None:
+        planes = {name: np.empty((part.data.height, part.data.width), np.float32) for name in channels}
+        if not self._read_zip(part, [([name], plane[..., None]) for name, plane in planes.items()]):
             indices = [part.channels.index(name) for name in channels]
             first, last = min(indices), max(indices)
             if rows is None and self._is_as_stored():
@@ -138,16 +138,21 @@ class ImageFile:
             found |= {part.channels[begin + column]: pixels[:, :, column] for column in range(end - begin)}
         return [found[name] for name in names]
 
-    def _read_zip(self, part: Part, names: Sequence[str]) -> dict[str, np.ndarray] | None:
-        """Channels of a part, (data height, data width) each, where they are stored as ZIP; else None, and so for a
-        broken file, about which OpenImageIO says more."""
+    def read_planes(self, part: Part, planes: NamedPlanes, rows: tuple[int, int]) -> bool:
+        """Read some rows of a part's area into planes (rows, width, channels) float32 of the named channels; False
+        where they are not stored as ZIP, or not all of them, and the planes are not filled."""
+        part = some_rows(part, *rows)
+        return part.data == part.area and self._read_zip(part, planes)
+
+    def _read_zip(self, part: Part, planes: NamedPlanes) -> bool:
+        """The same for a part's data window. False for a broken file, too, about which OpenImageIO says more."""
         if self._container is None or part.data.height <= 0:
-            return None
+            return False
         if part.index not in self._zipped:
             self._zipped[part.index] = ZipReader(self._container, part.index)
         reader, top = self._zipped[part.index], self._container.headers[part.index].data.y0
-        known = all(name in reader.channels for name in names)
-        return reader.read(names, part.data.y0 - top, part.data.y1 + 1 - top) if known else None
+        known = all(name in reader.channels for names, _ in planes for name in names)
+        return known and reader.read(planes, part.data.y0 - top, part.data.y1 + 1 - top)
 
     def _require_pixels(self, pixels: np.ndarray | None) -> np.ndarray:
         if pixels is None:

@@ -1,7 +1,7 @@
 """OpenEXR files as containers: chunks copied without decoding them, and pixels in and out of ZIP.
 
 ZIP-compressed scanlines are as OpenEXR's ImfZip.cpp defines them: bytes in even places before those in odd ones, then
-differences of neighbours, then DEFLATE (ISA-L's); a chunk that does not shrink is stored as it is.
+differences of neighbours, then DEFLATE; a chunk that does not shrink is stored as it is.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio
-from isal import isal_zlib
 
 from postfx.errors import ReadError
 from postfx.files import memory_file
@@ -276,7 +275,7 @@ class NewPart:
 
     header: Header
     count: int
-    chunks: Iterable[tuple[int, bytes]]
+    chunks: Iterable[tuple[int, bytes | memoryview]]
 
 
 def write_container(path: Path, parts: list[NewPart]) -> int:
@@ -321,6 +320,10 @@ def _flags(headers: list[Header]) -> int:
     return flags | LONG_NAMES * any(header.has_long_names() for header in headers)
 
 
+NamedPlanes = Sequence[tuple[Sequence[str], np.ndarray]]
+"""Names of channels, and the planes (rows, width, channels) float32 that they are read into."""
+
+
 class ZipReader:
     """Reads pixels of a part whose scanlines are compressed by ZIP, in half of OpenImageIO's time.
 
@@ -338,35 +341,32 @@ class ZipReader:
                 self.channels |= {channel.name: (channel.kind, self._words)} if channel.kind in (HALF, FLOAT) else {}
                 self._words += self._data.width * PIXEL_BYTES[channel.kind] // 2
 
-    def read(self, names: Sequence[str], first: int, last: int) -> dict[str, np.ndarray] | None:
-        """Channels as float32 (rows, width), of the data window's rows from `first` to `last`, not included, both
-        counted from its top. None where the file is broken."""
+    def read(self, planes: NamedPlanes, first: int, last: int) -> bool:
+        """Read the data window's rows from `first` to `last`, not included, both counted from its top. False where the
+        file is broken."""
         places = range(first // self._lines, -(-last // self._lines))
         if not 0 <= first < last <= self._data.height or places.stop > self._file.counts[self._part]:
-            return None
-        found = {name: np.empty((last - first, self._data.width), np.float32) for name in names}
+            return False
+        targets = [(np.array([self.channels[name] for name in names]), plane.view(np.uint32))
+                   for names, plane in planes]
         stored = [self._file.read(self._file.chunk(self._part, place)) for place in places]
         unpacked = _zip_threads(oiio.get_int_attribute("threads")).map(
-            partial(self._unpack, found, first), places, stored)
-        return found if all(unpacked) else None
+            partial(self._unpack, targets, first), places, stored)
+        return all(unpacked)
 
-    def _unpack(self, found: dict[str, np.ndarray], first: int, place: int, stored: bytes) -> bool:
-        """Put a chunk's rows into arrays whose rows begin with `first`; False where the chunk is broken."""
-        from postfx.kernels.pixel_formats import widen_rows  # loads Numba, which headers must not wait for
+    def _unpack(self, targets: list[tuple[np.ndarray, np.ndarray]], first: int, place: int, stored: bytes) -> bool:
+        """Put a chunk's rows into planes whose rows begin with `first`; False where the chunk is broken."""
+        from postfx.kernels.pixel_formats import decompress_rows, widen_rows  # headers must not wait
 
         top = place * self._lines
         rows = min(self._lines, self._data.height - top)
-        words = _decompress(stored[8:], rows * self._words)
+        words = decompress_rows(stored[8:], rows * self._words)
         if words is None or struct.unpack_from("<i", stored)[0] != self._data.y0 + top:
             return False
         wanted = words.reshape(rows, self._words)[max(first - top, 0):]
-        for name, rows_of_all in found.items():
-            (kind, start), target = self.channels[name], rows_of_all[max(top - first, 0):][:len(wanted)]
-            if kind == HALF:
-                widen_rows(wanted[:len(target)], start, target.view(np.uint32))
-            else:
-                end = start + 2 * target.shape[1]
-                target.view(np.uint16)[:] = wanted[:len(target), start:end]
+        for channels, bits in targets:
+            target = bits[max(top - first, 0):][:len(wanted)]
+            widen_rows(wanted[:len(target)], channels, target)
         return True
 
 
@@ -380,24 +380,6 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_zip_threads.cache_clear)  # a forked process has none of them
 
 
-def _decompress(stored: bytes, count: int) -> np.ndarray | None:
-    """A chunk's words, uint16 (count,); None if it is broken."""
-    from postfx.kernels.pixel_formats import unpredict_bytes  # likewise
-
-    if len(stored) == 2 * count:
-        return np.frombuffer(stored, np.uint16).copy()  # Numba compiles once more for what cannot be written
-    inflating = isal_zlib.decompressobj()
-    try:
-        differences = inflating.decompress(stored, 2 * count + 1)
-    except isal_zlib.error:  # type: ignore[misc]  # the stub names no class
-        return None
-    if not inflating.eof or len(differences) != 2 * count:
-        return None
-    words = np.empty(count, np.uint16)
-    unpredict_bytes(np.frombuffer(differences, np.uint8), words)
-    return words
-
-
 COMPRESSIONS = {0: "none", 1: "rle", 2: "zips", 3: "zip", 4: "piz", 5: "pxr24", 6: "b44", 7: "b44a", 8: "dwaa",
                 9: "dwab"}
 """OpenEXR's numbers of compressions."""
@@ -407,7 +389,6 @@ HALF, FLOAT = 1, 2
 _KINDS = (oiio.UINT, oiio.HALF, oiio.FLOAT)
 ZIP_LINES = 16
 """Rows of a chunk."""
-_LEVEL = 1  # of ISA-L: a fifth of the time of OpenEXR's level 4 for 6 % more bytes
 _PIECE = 4 << 20  # bytes that are read and compressed at once
 Rows = Callable[[int, int], Sequence[np.ndarray]]
 """First row and last row, not included, both counted from the top of the data window -> all channels of these rows in
@@ -420,8 +401,8 @@ def picture_part(header: Header, read: Rows) -> NewPart:
     ZIP, by far the fastest, runs on as many threads as OpenImageIO reads and writes with, which does all others: there
     the channels must be of one type.
     """
-    chunks = _zip_chunks(header, read) if header.compression == ZIP else _library_chunks(header, read)
-    return NewPart(header, count_chunks(header), chunks)
+    make_chunks = _zip_chunks if header.compression == ZIP else _library_chunks
+    return NewPart(header, count_chunks(header), make_chunks(header, read))
 
 
 def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
@@ -448,7 +429,7 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
             yield from made.copy_chunks(0)
 
 
-def _zip_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
+def _zip_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes | memoryview]]:
     """Place in the table and bytes of each chunk, from the top."""
     data, line_bytes = header.data, header.data.width * sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
     step = max(1, _PIECE // (line_bytes * ZIP_LINES)) * ZIP_LINES
@@ -456,10 +437,11 @@ def _zip_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
     for first in range(0, data.height, step):
         last = min(data.height, first + step)
         lines = _lines(read(first, last), line_bytes)
-        blocks = [lines[top : top + ZIP_LINES] for top in range(0, last - first, ZIP_LINES)]
-        for number, stored in enumerate(threads.map(_compress, blocks)):
-            row = first + number * ZIP_LINES
-            yield row // ZIP_LINES, struct.pack("<2i", data.y0 + row, len(stored)) + stored
+        tops = range(0, last - first, ZIP_LINES)
+        compressed = threads.map(_compress, [lines[top : top + ZIP_LINES] for top in tops],
+                                 [data.y0 + first + top for top in tops])
+        for top, stored in zip(tops, compressed, strict=True):
+            yield (first + top) // ZIP_LINES, stored
 
 
 def _lines(channels: Sequence[np.ndarray], line_bytes: int) -> np.ndarray:
@@ -472,11 +454,8 @@ def _lines(channels: Sequence[np.ndarray], line_bytes: int) -> np.ndarray:
     return lines
 
 
-def _compress(lines: np.ndarray) -> bytes:
-    from postfx.kernels.pixel_formats import predict_bytes  # loads Numba, which reading must not wait for
+def _compress(lines: np.ndarray, top: int) -> bytes | memoryview:
+    """A chunk of rows (rows, bytes), the first of which has the number `top`."""
+    from postfx.kernels.pixel_formats import compress_rows  # loads Numba, which reading must not wait for
 
-    plain = lines.reshape(-1)
-    differences = np.empty_like(plain)
-    predict_bytes(plain, differences)
-    packed = isal_zlib.compress(differences, _LEVEL)
-    return packed if len(packed) < len(plain) else plain.tobytes()
+    return compress_rows(lines, top)
