@@ -25,6 +25,7 @@ import numpy as np
 from postfx import kernels
 from postfx.kernels import native
 from postfx.kernels.native import FOLDER, LEVELS, Kinds, digest_of_sources
+from postfx.kernels.pixel_formats import count_coded, pack_bytes
 from postfx.kernels.statistics import copy_pieces
 
 ROOT = Path(__file__).resolve().parent
@@ -140,7 +141,10 @@ def record(folder: str) -> Wanted:
                 if all(shape is not None for _, shape in shapes):
                     note(kernel.rows, ("q", "q", *(f"{np.dtype(kind).str}:{len(shape or ())}"
                                                    for kind, shape in shapes)))
-    note(copy_pieces, ("q", "q", "<u4:1", "<u4:1"))  # results of the sample are too small for it
+    # Results of the sample are too small for these.
+    note(copy_pieces, ("q", "q", "<u4:1", "<u4:1"))
+    note(count_coded, ("|u1:1",))
+    note(pack_bytes, ("|u1:1", "q", "<u4:1"))
     Dispatcher._compile_for_args, states.compile_rows = called, prepared
     for line in COMMANDS.strip().splitlines():
         words = line.format(sample=ROOT / "samples/room/noisy.####.exr", out=folder)

@@ -247,6 +247,19 @@ def count_bytes(data: np.ndarray, counts: np.ndarray) -> None:
 
 
 @compiled
+def sort(keys: np.ndarray) -> None:
+    """Sort some hundred keys in their place (Shell, "A high-speed sorting procedure", 1959): NumPy's sort makes lists,
+    which kernels that come compiled cannot."""
+    for gap in (57, 23, 10, 4, 1):
+        for i in range(gap, keys.size):
+            key, place = keys[i], i
+            while place >= gap and keys[place - gap] > key:
+                keys[place] = keys[place - gap]
+                place -= gap
+            keys[place] = key
+
+
+@compiled
 def find_lengths(counts: np.ndarray, lengths: np.ndarray) -> int:
     """lengths (n,) int64 = bits of the Huffman codes of symbols that occur `counts` (n,) int64 times, 0 for those that
     do not; at least two must. Returns the bits of all together.
@@ -254,9 +267,14 @@ def find_lengths(counts: np.ndarray, lengths: np.ndarray) -> int:
     Moffat and Katajainen, "In-place calculation of minimum-redundancy codes", 1995. Where codes would be longer than
     LONGEST, others become longer in their place.
     """
-    keys = np.sort((counts << 9) | np.arange(counts.size))
-    keys = keys[np.count_nonzero(counts == 0):]
-    nodes, count, leaf, root = keys >> 9, keys.size, 0, 0
+    keys, count = np.empty(counts.size, np.int64), 0
+    for symbol in range(counts.size):
+        if counts[symbol] > 0:
+            keys[count] = counts[symbol] << 9 | symbol
+            count += 1
+    keys = keys[:count]
+    sort(keys)
+    nodes, leaf, root = keys >> 9, 0, 0
     for i in range(count - 1):  # an inner node of the two that are the rarest so far
         weight = 0
         for _ in range(2):
