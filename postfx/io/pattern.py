@@ -133,13 +133,18 @@ def _glob(wild: str) -> list[str]:
 
     SequenceError when they fit more than MOST_FOLDERS folders on one level.
     """
+    levels: list[tuple[str, str]] = []  # glob.glob would call itself for each
     folder, name = os.path.split(wild)
-    if not glob.has_magic(folder) or folder == wild:
-        return [with_slashes(found) for found in glob.glob(wild)]
-    folders = [glob.escape(found) for found in _glob(folder) if os.path.isdir(found)]
-    if len(folders) > MOST_FOLDERS:
-        raise SequenceError(f"{folder}: the wildcards fit {len(folders)} folders: name more of the folders")
-    return [with_slashes(found) for folder in folders for found in glob.glob(_join(folder, name))]
+    while glob.has_magic(folder) and folder != wild:
+        levels.append((wild := folder, name))
+        folder, name = os.path.split(wild)
+    found = glob.glob(wild)
+    for folder, name in reversed(levels):
+        folders = [glob.escape(path) for path in found if os.path.isdir(path)]
+        if len(folders) > MOST_FOLDERS:
+            raise SequenceError(f"{folder}: the wildcards fit {len(folders)} folders: name more of the folders")
+        found = [path for folder in folders for path in glob.glob(_join(folder, name))]
+    return list(map(with_slashes, found))
 
 
 def parse_pattern(text: str) -> Pattern:

@@ -257,3 +257,11 @@ def test_wildcards_that_fit_too_many_folders_end_in_one_line(tmp_path, monkeypat
     monkeypatch.setattr("postfx.io.pattern.MOST_FOLDERS", 2)
     with pytest.raises(SequenceError, match=re.escape(f"{tmp_path}/*: the wildcards fit 3 folders: name more")):
         locate(wild)
+
+
+@pytest.mark.parametrize("level", ["*/", "{view}/", "a*/b/"])
+def test_wildcards_over_thousands_of_levels_fit_nothing(level, tmp_path, monkeypatch):
+    """glob.glob calls itself for each level, and Python ends that after a thousand."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SequenceError, match="no such file"):
+        read_sequence(level * 3000 + "shot.####.exr")
