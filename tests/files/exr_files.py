@@ -14,6 +14,7 @@ from postfx.io.exr import Header
 from postfx.io.exr.container import ExrContainer, NewPart, write_container
 
 WIDTH, HEIGHT = 37, 41
+DATE = "2024:05:06 07:08:09"  # else that of now: the same file comes out each time
 COMPRESSIONS = {name: getattr(OpenEXR, f"{name}_COMPRESSION") for name in
                 ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB", "HTJ2K256", "HTJ2K32",
                  "LJ2K", "ZSTD") if hasattr(OpenEXR, f"{name}_COMPRESSION")}
@@ -34,12 +35,13 @@ def picture(width: int = WIDTH, height: int = HEIGHT, seed: int = 0) -> dict[str
     return {name: random.random((height, width)).astype(np.float16) for name in "RGBA"}
 
 
-def write_mixed(path: Path, compression: str = "ZIP", tiled: bool = False, **header) -> Path:
+def write_mixed(path: Path, compression: str = "ZIP", tiled: bool = False, size: tuple[int, int] = (WIDTH, HEIGHT),
+                **header) -> Path:
     """One part: a picture, and beside it halves, floats and whole numbers of any bits, with a Cryptomatte's header."""
     lossy = compression in ("PXR24", "B44", "B44A", "DWAA", "DWAB")
-    channels = picture() | {"depth.Z": noise_bits(1, "float"), "objectId": noise_bits(2, "uint")}
-    channels |= {f"CryptoObject00.{letter}": noise_bits(3 + index, "float") for index, letter in enumerate("RGBA")}
-    channels["mask.half"] = picture(seed=4)["R"] if lossy else noise_bits(8, "half")
+    channels = picture(*size) | {"depth.Z": noise_bits(1, "float", *size), "objectId": noise_bits(2, "uint", *size)}
+    channels |= {f"CryptoObject00.{letter}": noise_bits(3 + i, "float", *size) for i, letter in enumerate("RGBA")}
+    channels["mask.half"] = picture(*size, seed=4)["R"] if lossy else noise_bits(8, "half", *size)
     kind = {"tiles": OpenEXR.TileDescription()} if tiled else {}
     kind["type"] = OpenEXR.tiledimage if tiled else OpenEXR.scanlineimage
     crypto = {"cryptomatte/abc/name": "CryptoObject", "cryptomatte/abc/manifest": '{"logo":"0000abcd"}'}
@@ -52,6 +54,7 @@ def write_deep(path: Path) -> Path:
     """One deep part of two channels, with as many samples as the place of the pixel."""
     spec = oiio.ImageSpec(8, 6, 2, "float")
     spec.channelnames, spec.deep = ("A", "Z"), True
+    spec.attribute("DateTime", DATE)
     deep = oiio.DeepData()
     deep.init(spec)
     for pixel in range(48):
@@ -69,6 +72,7 @@ def write_mipmapped(path: Path) -> Path:
     output, spec = oiio.ImageOutput.create(str(path)), oiio.ImageSpec(64, 64, 1, "half")
     spec.tile_width = spec.tile_height = 16
     spec.channelnames = ("mip.Y",)
+    spec.attribute("DateTime", DATE)
     spec.attribute("openexr:roundingmode", 0)
     spec.attribute("textureformat", "Plain Texture")
     assert output.open(str(path), spec) and output.write_image(levels[0].get_pixels())
@@ -79,9 +83,10 @@ def write_mipmapped(path: Path) -> Path:
     return path
 
 
-def write_studio(folder: Path) -> Path:
+def write_studio(folder: Path, size: tuple[int, int] = (WIDTH, HEIGHT)) -> Path:
     """Parts of all kinds: picture with ids, a deep one, a mip-mapped one, and a header with types that nobody knows."""
-    files = [write_mixed(folder / "mixed.exr"), write_deep(folder / "deep.exr"), write_mipmapped(folder / "mip.exr")]
+    files = [write_mixed(folder / "mixed.exr", size=size), write_deep(folder / "deep.exr"),
+             write_mipmapped(folder / "mip.exr")]
     containers = [ExrContainer(file) for file in files]
     parts = []
     for name, container in zip(("beauty", "deep", "mip"), containers, strict=True):

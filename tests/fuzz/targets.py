@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tempfile
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,7 +32,10 @@ from tests.toys import save_model, value
 
 MOST_PIXELS = 1 << 20
 """Frames above that are opened and not decoded, so that a run tries many files."""
-FOLDER = Path(tempfile.mkdtemp(prefix="postfx-fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
+SIZE = 9, 7
+"""Of pictures to begin with: most of their bytes are headers, and many are tried."""
+FOLDER = Path()
+"""Where all that a target reads and writes lies: fuzz.py goes there. A name of its own would change what is tried."""
 
 
 def exr(content: bytes) -> None:
@@ -81,7 +84,7 @@ def profile(content: bytes) -> None:
 def patterns(content: bytes) -> None:
     """Frame patterns, ranges, and the other small languages of the command line."""
     text = content.decode("utf-8", "surrogateescape").replace("\0", "")
-    for parse in (parse_frames, parse_depth, parse_leave, parse_cuts, parse_size, lambda text: Sequence(FOLDER / text)):
+    for parse in (parse_frames, parse_depth, parse_leave, parse_cuts, parse_size):
         try:
             parse(text)
         except PostfxError:
@@ -92,7 +95,13 @@ def patterns(content: bytes) -> None:
     except SequenceError:
         return
     path = pattern.path(7)
-    if pattern.is_numbered and "{plane}" not in text and path.name and ".." not in path.parts:
+    if os.path.isabs(text) or str(Path(text))[:1] == "~" or ".." in (*Path(text).parts, *path.parts):
+        return  # what lies elsewhere on a machine is no input
+    try:
+        Sequence(text)
+    except PostfxError:
+        pass
+    if pattern.is_numbered and "{plane}" not in text and path.name:
         assert pattern.includes(path), (str(pattern), path)
 
 
@@ -145,9 +154,9 @@ def seeds(name: str, folder: Path) -> None:
 
     if name in ("exr", "container"):
         for compression in ("NO", "ZIP", "PIZ", "DWAA"):
-            add(compression, write_mixed(FOLDER / "seed.exr", compression).read_bytes())
-        add("tiles", write_mixed(FOLDER / "seed.exr", tiled=True).read_bytes())
-        add("parts", write_studio(FOLDER).read_bytes())
+            add(compression, write_mixed(FOLDER / "seed.exr", compression, size=SIZE).read_bytes())
+        add("tiles", write_mixed(FOLDER / "seed.exr", tiled=True, size=SIZE).read_bytes())
+        add("parts", write_studio(FOLDER, SIZE).read_bytes())
     if name == "hdr":
         add("flat", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 3 +X 2\n" + bytes(range(24)))
         add("runs", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 16\n\2\2\0\x10" + b"\x90\x55" * 4)
@@ -155,8 +164,12 @@ def seeds(name: str, folder: Path) -> None:
         for path in BUILTIN.glob("*.toml"):
             add(path.stem, path.read_bytes())
     if name == "patterns":
+        for path in ("in/0001.exr", "in/0002.exr", "shot.0007.exr", "left/depth.12.exr", "deep/er/1/a.exr"):
+            (FOLDER / path).parent.mkdir(parents=True, exist_ok=True)
+            (FOLDER / path).touch()
         for text in ("shot.####.exr", "in/%04d.exr", "1-100x2,5", "ray,fov=54.4,miss=0", "auto,logo=0.5,7-9@id",
-                     "<F4>.$F4.@@.exr", "{plane}.##.exr", "4.5G", "1,48,90"):
+                     "<F4>.$F4.@@.exr", "{plane}.##.exr", "*/*.exr", "**/*/a.exr", "{view}/d*.##.exr",
+                     "4.5G", "1,48,90"):
             add(text.replace("/", "_"), text.encode())
     if name == "model":
         from onnx import helper
