@@ -125,14 +125,30 @@ def log_encode(exposed: Real) -> Real:
 @inline
 def demodulation(diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, y: int, x: int) -> tuple[Real, Real, Real]:
     """Reflectance that colour is divided by at a pixel: see ``training.ops.demodulation``."""
-    r = clamp(diffuse_albedo[y, x, 0] + specular_albedo[y, x, 0], np.float32(0), MOST_REFLECTANCE)
-    g = clamp(diffuse_albedo[y, x, 1] + specular_albedo[y, x, 1], np.float32(0), MOST_REFLECTANCE)
-    b = clamp(diffuse_albedo[y, x, 2] + specular_albedo[y, x, 2], np.float32(0), MOST_REFLECTANCE)
-    peak = max(r, g, b)
-    if peak < EMITTER:
-        return np.float32(1), np.float32(1), np.float32(1)
-    floor = LEAST_TINT * peak
-    return max(r, floor) + ADDED, max(g, floor) + ADDED, max(b, floor) + ADDED
+    some, others = diffuse_albedo[y, x], specular_albedo[y, x]
+    r, g, b = tinted(some[0] + others[0], some[1] + others[1], some[2] + others[2])
+    return r, g, b
+
+
+@inline
+def tinted(red: Real, green: Real, blue: Real) -> tuple[Real, Real, Real]:
+    """The same of the sum of both albedos."""
+    r, g = clamp(red, np.float32(0), MOST_REFLECTANCE), clamp(green, np.float32(0), MOST_REFLECTANCE)
+    b = clamp(blue, np.float32(0), MOST_REFLECTANCE)
+    peak = max(max(r, g), b)
+    floor, dark, one = LEAST_TINT * peak, peak < EMITTER, np.float32(1)
+    return (one if dark else max(r, floor) + ADDED, one if dark else max(g, floor) + ADDED,
+            one if dark else max(b, floor) + ADDED)
+
+
+@compiled
+def demodulation_row(diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, red: np.ndarray, green: np.ndarray,
+                     blue: np.ndarray) -> None:
+    """The same of a row of both albedos (w, 3) without gaps: several times as fast as pixel by pixel."""
+    some, others = diffuse_albedo.reshape(diffuse_albedo.size), specular_albedo.reshape(specular_albedo.size)
+    for x in range(red.size):
+        red[x], green[x], blue[x] = tinted(some[3 * x] + others[3 * x], some[3 * x + 1] + others[3 * x + 1],
+                                           some[3 * x + 2] + others[3 * x + 2])
 
 
 @vectorised

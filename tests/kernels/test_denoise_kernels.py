@@ -7,10 +7,12 @@ import pytest
 
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import FINE
+from postfx.kernels.denoise.features import FEATURE, STORED_FEATURE
 from postfx.kernels.denoise.network_io import OPEN_FINE_PRODUCTS, OPEN_SOME_PRODUCTS, SOME, STORE, STORE_RINGED
 from postfx.kernels.image import RESAMPLE, positions
+from postfx.passes.denoise.network import stored_channels
 from postfx.runtime import Device
-from tests.kernels.denoise_cases import KERNELS, ODD, Case, arguments, run, runs_of
+from tests.kernels.denoise_cases import CASES, KERNELS, ODD, Case, arguments, run, runs_of
 
 TOLERANCE = 1e-4
 
@@ -57,6 +59,26 @@ def test_what_is_no_number_is_stored_as_zero(kernel: Kernel, compiled: Device, p
     wanted = run(kernel, compiled, {**inputs, "planes": np.nan_to_num(inputs["planes"])}, ODD)
     for device in (compiled, portable):
         np.testing.assert_array_equal(run(kernel, device, inputs, ODD)["stored"], wanted["stored"])
+
+
+@pytest.mark.parametrize("ring", [0, 1])
+@pytest.mark.parametrize("bad", [False, True], ids=["clean", "bad"])
+def test_features_in_8_bits_are_the_codes_of_the_planes(ring: int, bad: bool, compiled: Device) -> None:
+    """To the bit, in any bands of rows."""
+    for case in CASES:
+        inputs = arguments(FEATURE, case, bad=bad)
+        if bad:
+            inputs["state"].reshape(-1)[::11] = np.nan
+        wanted, (hp, wp) = run(FEATURE, compiled, inputs, case), case.window.padded_size
+        codes = np.full((1, hp + 2 * ring, wp + 2 * ring, stored_channels("features")), 7, np.uint8)
+        signed = np.arange(codes.shape[3]) % 2
+        coding = np.stack([255 - 128 * signed, 128 * signed]).astype(np.float32)
+        (STORE_RINGED if ring else STORE).rows(0, codes.shape[1], wanted["features"], coding, codes)
+        past, stored = np.full_like(wanted["past"], 7), np.full_like(codes, 9)
+        for rows in ((0, 5), (5, codes.shape[1])):
+            STORED_FEATURE.rows(*rows, *inputs.values(), coding, past, stored)
+        np.testing.assert_array_equal(stored, codes, str(case))
+        np.testing.assert_array_equal(past, wanted["past"], str(case))
 
 
 def test_resampling_at_whole_positions_gives_the_samples_and_keeps_within_them() -> None:

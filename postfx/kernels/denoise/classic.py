@@ -19,6 +19,7 @@ from postfx.kernels.denoise import (
     EXPOSURE,
     GAIN,
     HEIGHT,
+    HIDDEN,
     JITTER_X,
     JITTER_Y,
     LEFT,
@@ -30,13 +31,12 @@ from postfx.kernels.denoise import (
     MOST_LOG,
     MOST_STATE,
     REFLECTANCE,
-    STATE,
     TINY,
     TOP,
     WIDTH,
     kernel,
 )
-from postfx.kernels.denoise.features import recall_row
+from postfx.kernels.denoise.features import PLACES, locate_row, recall_row
 from postfx.kernels.denoise.history import kept_row
 from postfx.kernels.denoise.upsample import gauss, pixel_of, place, weigh_picked, weigh_three
 from postfx.kernels.numeric import Real, add, clamp, compiled, demodulation, exp, expm1, fused, log_encode
@@ -84,8 +84,9 @@ def gather_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.ndarray
     top, left = int(window[TOP]), int(window[LEFT])
     rows, columns = min(th, h - top), min(tw, w - left)
     under, beside = top + th < h, left + tw < w
-    at = np.arange(left, left + columns)
-    memory, before = np.empty((STATE, columns), np.float32), np.ones(columns, np.float32)
+    places, shares = np.empty((PLACES, columns), np.int32), np.empty((2, columns), np.float32)
+    past, more = np.empty((columns, 4), np.float32), np.empty((columns, HIDDEN), np.float32)
+    before = np.empty(columns, np.float32)
     valid, share = np.empty(columns, np.float32), np.empty(columns, np.float32)
     near, depths = np.empty((3, w + 2), np.float32), depth.reshape(h, w)
     for y in range(y0, y1):
@@ -96,7 +97,8 @@ def gather_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.ndarray
             continue
         v = top + y
         kept_row(keep, y, share)
-        recall_row(v, at, moved[y], state, last_depth, share, memory, before, valid)
+        locate_row(v, left, moved[y], h, w, share, places, shares, valid)
+        recall_row(places, shares, state, last_depth, share, params[GAIN], before, valid, past, more)
         for x in range(columns):
             u = left + x
             own = demodulation(diffuse_albedo, specular_albedo, v, u)
@@ -110,15 +112,14 @@ def gather_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.ndarray
                 light[c, y, x] *= np.float32(MAX_COLOUR) / brightest  # the sun keeps its hue
             z = depth[v, u, 0]
             alike = abs(before[x] - z) <= STEP * z or (before[x] >= MAX_DEPTH and z >= MAX_DEPTH)
-            count = memory[3, x] if valid[x] > ZERO and alike else ZERO
+            count = past[x, 3] if valid[x] > ZERO and alike else ZERO
             alpha = max(ONE / (max(count, ZERO) + ONE), LEAST_SHARE)
             lum, total = luminance(light[0, y, x], light[1, y, x], light[2, y, x]), ZERO
             for c in range(3):
-                past = memory[c, x] * params[GAIN]
-                light[c, y, x] = past + (light[c, y, x] - past) * alpha
+                light[c, y, x] = past[x, c] + (light[c, y, x] - past[x, c]) * alpha
                 total += abs(light[c, y, x])
             scale = params[GAIN] / max(valid[x], np.float32(1e-3))
-            mean, square = memory[4, x] * scale, memory[5, x] * scale * params[GAIN]
+            mean, square = more[x, 0] * scale, more[x, 1] * scale * params[GAIN]
             mean = mean + (lum - mean) * alpha if square > ZERO else lum
             square = square + (lum * lum - square) * alpha if square > ZERO else lum * lum
             counted = min(ONE / alpha, np.float32(MAX_COUNT))

@@ -40,6 +40,7 @@ from postfx.kernels.numeric import (
     Four,
     Real,
     add_four,
+    add_sixteen,
     centre,
     clamp,
     compiled,
@@ -47,10 +48,13 @@ from postfx.kernels.numeric import (
     fused,
     fused_inline,
     inline,
+    largest_eight,
     load_four,
+    load_sixteen,
     log1p,
-    store_four,
+    store_eight,
     vectorised,
+    weigh_pixels,
 )
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
@@ -102,16 +106,26 @@ def cubic(t: Real) -> tuple[Real, Real, Real, Real]:
 
 
 @vectorised
-def steps(moved: np.ndarray, axis: int, scale: Real, shift: np.ndarray, weights: np.ndarray) -> None:
-    """Motion along a row in whole output pixels, and the weights (4, w) of the cubic taps for the rest of it.
+def steps(moved: np.ndarray, scale: tuple[Real, Real], shift: np.ndarray, weights: np.ndarray) -> None:
+    """Motion of a row (w, 2) in whole output pixels (2, w), and the weights (2, 4, w) of the cubic taps for the rest of
+    it, both across and down.
 
     All output pixels in a render pixel share them, for they share its motion.
     """
-    for x in range(shift.size):
-        at = moved[x, axis] * scale
-        whole = np.floor(at)
-        shift[x] = np.int32(whole)
-        weights[0, x], weights[1, x], weights[2, x], weights[3, x] = cubic(at - whole)
+    flat, across, down, right, lower = moved.reshape(moved.size), shift[0], shift[1], weights[0, 0], weights[1, 0]
+    for x in range(across.size):
+        px, py = flat[2 * x] * scale[0], flat[2 * x + 1] * scale[1]
+        left, top = np.floor(px), np.floor(py)
+        across[x], down[x], right[x], lower[x] = np.int32(left), np.int32(top), px - left, py - top
+    for axis in range(2):
+        taps(weights[axis, 0], weights[axis, 1], weights[axis, 2], weights[axis, 3])
+
+
+@vectorised
+def taps(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> None:
+    """Weights of the cubic taps of a row; the first row has the offsets that they are for."""
+    for x in range(a.size):
+        a[x], b[x], c[x], d[x] = cubic(a[x])
 
 
 @fused_inline
@@ -161,35 +175,83 @@ def edge_pixel(left: int, top: int, history: np.ndarray, at: int, wx: np.ndarray
                 pixel[c] += weight * found[c]
 
 
-@fused
-def warp_row(y: int, columns: np.ndarray, history: np.ndarray, index: np.ndarray, shift_x: np.ndarray,
-             shift_y: np.ndarray, wx: np.ndarray, wy: np.ndarray, row: np.ndarray) -> None:
-    """Row ``y`` of the history moved, at ``columns``; ``index`` is the render pixel of each output pixel. ``row`` has
-    one more number than pixels have: they are written with the number behind each.
+NOWHERE = np.int32(-(2**30))
+"""Column of what is not made with others."""
 
-    Two neighbours in one render pixel share their motion, and so three of their four columns of taps.
-    """
-    height, width = history.shape[:2]
-    flat = history.reshape(height * width * 3)
-    line, next_pixel = np.uint64(3 * width), np.uint64(3)
-    x = 0
-    while x < index.size:
-        at = index[x]
-        left, top = columns[x] + shift_x[at] - 1, y + shift_y[at] - 1
-        if not (0 <= left <= width - 4 and 0 <= top <= height - 4):
-            edge_pixel(left, top, history, at, wx, wy, row[3 * x:3 * x + 3])
-            x += 1
+
+@compiled
+def runs_of(columns: np.ndarray, size: int, out_size: int, left: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where the output pixels of each of a part's ``count`` render pixels begin in a row, and after the last one's end
+    (count + 1,); and the first column of those that are made at once, else NOWHERE: of one or two beside each other,
+    from which eight numbers lie in the row."""
+    begin, first = np.zeros(count + 1, np.int64), np.full(count, NOWHERE, np.int32)
+    for x in range(columns.size):
+        at, _ = centre(columns[x], size, out_size)
+        begin[min(max(at - left, 0), count - 1) + 1] += 1
+    for at in range(count):
+        begin[at + 1] += begin[at]
+        x, last = begin[at], begin[at + 1] - 1
+        if x <= last <= x + 1 and columns[last] - columns[x] == last - x and x + 2 < columns.size:
+            first[at] = columns[x]
+    return begin, first
+
+
+@compiled
+def find_starts(y: int, height: int, width: int, first: np.ndarray, shift: np.ndarray, starts: np.ndarray) -> None:
+    """The first number of the taps of a row's pixels in a picture, -1 of those that are made one by one."""
+    across, down, one, three = shift[0], shift[1], np.int32(1), np.int32(3)
+    right, bottom, line, row = np.int32(width - 6), np.int32(height - 4), np.int32(3 * width), np.int32(y - 1)
+    for x in range(starts.size):
+        left, top = first[x] + across[x] - one, row + down[x]
+        inside = (left >= 0) & (left <= right) & (top >= 0) & (top <= bottom)
+        starts[x] = np.int32(top * line + left * three) if inside else -one
+
+
+@fused
+def warp_most(begin: np.ndarray, starts: np.ndarray, history: np.ndarray, weights: np.ndarray, row: np.ndarray,
+              others: np.ndarray) -> int:
+    """The pixels of a row that are not near the picture's edges; ``others`` are those that are left, and their count is
+    the result. Neighbours in one render pixel share their motion, so they are moved as one run of six numbers; two
+    behind them, or five behind a single pixel, are written again with the next ones."""
+    flat, line, pixel = history.reshape(history.size), np.uint64(3 * history.shape[1]), np.uint64(3)
+    second, third, fourth = flat[line:], flat[line + line:], flat[line + line + line:]
+    a, b, c, d = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
+    e, f, g, h = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3]
+    eight = (ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO)
+    sixteen, left = eight + eight, 0
+    for at in range(starts.size):
+        if starts[at] < 0:
+            others[left] = at
+            left += 1
             continue
-        w0, w1, w2, w3 = wx[0, at], wx[1, at], wx[2, at], wx[3, at]
-        d0, d1, d2, d3 = wy[0, at], wy[1, at], wy[2, at], wy[3, at]
-        start = np.uint64((top * width + left) * 3)
-        a, b, c, d = columns_of(flat, start, line, d0, d1, d2, d3)
-        store_four(row, np.uint64(3 * x), weigh(a, b, c, d, w0, w1, w2, w3))
-        x += 1
-        if x < index.size and index[x] == at and columns[x] == columns[x - 1] + 1 and left < width - 4:
-            e = down_last(flat, start + next_pixel * np.uint64(4), line, d0, d1, d2, d3)
-            store_four(row, np.uint64(3 * x), weigh(b, c, d, e, w0, w1, w2, w3))
-            x += 1
+        start, to = np.uint64(starts[at]), np.uint64(begin[at]) * pixel
+        total = add_sixteen(sixteen, load_sixteen(second, start), f[at])
+        total = add_sixteen(total, load_sixteen(flat, start), e[at])
+        total = add_sixteen(total, load_sixteen(third, start), g[at])
+        total = add_sixteen(total, load_sixteen(fourth, start), h[at])
+        store_eight(row, to, largest_eight(eight, weigh_pixels(total, a[at], b[at], c[at], d[at])))
+    return left
+
+
+@fused
+def warp_row(y: int, columns: np.ndarray, begin: np.ndarray, starts: np.ndarray, history: np.ndarray,
+             shift: np.ndarray, weights: np.ndarray, others: np.ndarray, row: np.ndarray) -> None:
+    """Row ``y`` of a picture (height, width, 3) moved, at ``columns``, flat; cubic interpolation never makes it
+    negative."""
+    height, width = history.shape[:2]
+    flat, line, wx, wy = history.reshape(history.size), np.uint64(3 * width), weights[0], weights[1]
+    for i in range(warp_most(begin, starts, history, weights, row, others)):
+        at = others[i]
+        for x in range(begin[at], begin[at + 1]):
+            left, top, pixel = columns[x] + shift[0, at] - 1, y + shift[1, at] - 1, row[3 * x:3 * x + 3]
+            if 0 <= left <= width - 4 and 0 <= top <= height - 4:
+                a, b, c, d = columns_of(flat, np.uint64((top * width + left) * 3), line, wy[0, at], wy[1, at],
+                                        wy[2, at], wy[3, at])
+                pixel[0], pixel[1], pixel[2], _ = weigh(a, b, c, d, wx[0, at], wx[1, at], wx[2, at], wx[3, at])
+            else:
+                edge_pixel(left, top, history, at, wx, wy, pixel)
+            for c in range(3):
+                pixel[c] = max(pixel[c], ZERO)
 
 
 @vectorised
@@ -204,26 +266,20 @@ def history_rows(y0: int, y1: int, history: np.ndarray, moved: np.ndarray, param
                  out_rows: np.ndarray, out_columns: np.ndarray, warped: np.ndarray) -> None:
     """The last output where its pixels are now, bicubic, edge repeated; rescaled where the exposure changed."""
     height, width = history.shape[:2]
-    h, w = int(window[HEIGHT]), int(window[WIDTH])
-    columns, count = out_columns.astype(np.int64), moved.shape[1]
-    index = np.empty(columns.size, np.int64)
-    for x in range(index.size):
-        at, _ = centre(columns[x], w, width)
-        index[x] = min(max(at - int(window[LEFT]), 0), count - 1)
-    shift_x, shift_y = np.empty(count, np.int32), np.empty(count, np.int32)
-    wx, wy = np.empty((4, count), np.float32), np.empty((4, count), np.float32)
-    line, last = np.empty(3 * index.size + 1, np.float32), -1
+    h, w, count = int(window[HEIGHT]), int(window[WIDTH]), moved.shape[1]
+    columns, scale = out_columns.astype(np.int64), (np.float32(width / w), np.float32(height / h))
+    begin, first = runs_of(columns, w, width, int(window[LEFT]), count)
+    shift, weights = np.empty((2, count), np.int32), np.empty((2, 4, count), np.float32)
+    starts, others, last = np.empty(count, np.int32), np.empty(count, np.int64), -1
     for out in range(y0, y1):
-        y = int(out_rows[out])
+        y, row = int(out_rows[out]), warped[out].reshape(3 * columns.size)
         iy, _ = centre(y, h, height)
         iy = min(max(iy - int(window[TOP]), 0), moved.shape[0] - 1)
         if iy != last:
-            steps(moved[iy], 0, np.float32(width / w), shift_x, wx)
-            steps(moved[iy], 1, np.float32(height / h), shift_y, wy)
+            steps(moved[iy], scale, shift, weights)
             last = iy
-        row = warped[out].reshape(3 * index.size)
-        warp_row(y, columns, history, index, shift_x, shift_y, wx, wy, line)
-        np.maximum(line[:row.size], ZERO, row)
+        find_starts(y, height, width, first, shift, starts)
+        warp_row(y, columns, begin, starts, history, shift, weights, others, row)
         if params[GAIN] != ONE:
             rescale_row(row, params[GAIN])
 

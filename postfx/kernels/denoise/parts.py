@@ -30,7 +30,7 @@ from postfx.kernels.denoise import (
     in_half,
     kernel,
 )
-from postfx.kernels.denoise.history import columns_of, edge_pixel, kept_row, steps, weigh
+from postfx.kernels.denoise.history import find_starts, kept_row, runs_of, steps, warp_row
 from postfx.kernels.denoise.upsample import (
     TAPS,
     between,
@@ -51,7 +51,6 @@ from postfx.kernels.numeric import (
     add_eight,
     add_four,
     add_products_of_eight,
-    add_sixteen,
     compiled,
     demodulation,
     divide,
@@ -60,11 +59,9 @@ from postfx.kernels.numeric import (
     largest_eight,
     load_eight,
     load_four,
-    load_sixteen,
     store_eight,
     store_four,
     vectorised,
-    weigh_pixels,
 )
 
 ZERO, HALF, ONE, DARKEST = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1e-30)
@@ -247,47 +244,6 @@ def any_taps(ty: Real, fine: np.ndarray, iy: int, gauss_x: np.ndarray, gauss_y: 
         add(taps[0, tap], total[0])
 
 
-@fused
-def warp_parts(y: int, columns: np.ndarray, last: np.ndarray, index: np.ndarray, shift_x: np.ndarray,
-               shift_y: np.ndarray, wx: np.ndarray, wy: np.ndarray, rows: np.ndarray) -> None:
-    """Row ``y`` of several pictures (n, height, width, 3) moved, like `warp_row`; ``rows`` (n, 3 width + 2).
-
-    Neighbours in one render pixel share their motion, so they are moved as one run of six numbers, and two behind it.
-    """
-    count, height, width, _ = last.shape
-    flat, found, stride = last.reshape(last.size), rows.reshape(rows.size), rows.shape[1]
-    line, picture = np.uint64(3 * width), np.uint64(3 * width * height)
-    x = 0
-    while x < index.size:
-        at = index[x]
-        left, top = columns[x] + shift_x[at] - 1, y + shift_y[at] - 1
-        if not (0 <= left <= width - 4 and 0 <= top <= height - 4):
-            for k in range(count):
-                edge_pixel(left, top, last[k], at, wx, wy, rows[k, 3 * x:3 * x + 3])
-            x += 1
-            continue
-        w0, w1, w2, w3 = wx[0, at], wx[1, at], wx[2, at], wx[3, at]
-        d0, d1, d2, d3 = wy[0, at], wy[1, at], wy[2, at], wy[3, at]
-        start = np.uint64((top * width + left) * 3)
-        if x + 1 < index.size and index[x + 1] == at and columns[x + 1] == columns[x] + 1 and left < width - 5:
-            for k in range(count):
-                zero = np.float32(0)
-                total = (zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero)
-                total = add_sixteen(total, load_sixteen(flat, start + line), d1)
-                total = add_sixteen(total, load_sixteen(flat, start), d0)
-                total = add_sixteen(total, load_sixteen(flat, start + line + line), d2)
-                total = add_sixteen(total, load_sixteen(flat, start + line + line + line), d3)
-                store_eight(found, np.uint64(k * stride + 3 * x), weigh_pixels(total, w0, w1, w2, w3))
-                start += picture
-            x += 2
-            continue
-        for k in range(count):
-            a, b, c, d = columns_of(flat, start, line, d0, d1, d2, d3)
-            store_four(found, np.uint64(k * stride + 3 * x), weigh(a, b, c, d, w0, w1, w2, w3))
-            start += picture
-        x += 1
-
-
 @compiled
 def any_of(row: np.ndarray) -> bool:
     """Whether any number is not 0."""
@@ -309,9 +265,10 @@ def light_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: 
     scale = np.float32(size[0] / int(window[WIDTH])), np.float32(size[1] / int(window[HEIGHT]))
     index, leans = np.empty(width, np.int64), np.empty(width, np.float32)
     gauss_x, gauss_y = np.empty((3, width), np.float32), np.empty(3, np.float32)
-    columns, before = out_columns.astype(np.int64), np.zeros((count, 3 * width + 2), np.float32)
-    shift_x, shift_y = np.empty(w, np.int32), np.empty(w, np.int32)
-    cubic_x, cubic_y = np.empty((4, w), np.float32), np.empty((4, w), np.float32)
+    columns, before = out_columns.astype(np.int64), np.zeros((count, 3 * width), np.float32)
+    begin, first = runs_of(columns, int(window[WIDTH]), size[0], int(window[LEFT]), w)
+    shift, cubic = np.empty((2, w), np.int32), np.empty((2, 4, w), np.float32)
+    starts, others = np.empty(w, np.int32), np.empty(w, np.int64)
     for x in range(width):
         index[x], offset = pixel_of(x, LEFT, window, w)
         leans[x] = lean(offset)
@@ -343,10 +300,11 @@ def light_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: 
         keeps, moves = any_of(trust), left + width > size[0] or any_of(moved[iy].reshape(2 * w))
         if keeps and moves:
             if iy != stepped:
-                steps(moved[iy], 0, scale[0], shift_x, cubic_x)
-                steps(moved[iy], 1, scale[1], shift_y, cubic_y)
+                steps(moved[iy], scale, shift, cubic)
                 stepped = iy
-            warp_parts(y, columns, last, index, shift_x, shift_y, cubic_x, cubic_y, before)
+            find_starts(y, last.shape[1], last.shape[2], first, shift, starts)
+            for k in range(count):
+                warp_row(y, columns, begin, starts, last[k], shift, cubic, others, before[k])
         for k in range(count):
             if sides == 2:
                 add_nine(taps, total, radiance, k, iy, rows)
@@ -359,7 +317,7 @@ def light_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: 
                     divide(rows[c], total[0])
                     place(rows[c], c, 3, current)
             if keeps and not moves:
-                before[k, :3 * width] = last[k, y, left:left + width].reshape(3 * width)
+                before[k] = last[k, y, left:left + width].reshape(3 * width)
             blend_light(current, before[k], trust, ONE / params[EXPOSURE], light[k, row].reshape(3 * width))
 
 

@@ -14,7 +14,7 @@ from postfx.caching import LRUCache
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import FEATURES, FINE, GUIDES, IN_HALF, TRUST_CELL
 from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
-from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
+from postfx.kernels.denoise.features import FEATURE, GUIDE, STORED_FEATURE, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP
 from postfx.kernels.denoise.network_io import (
     OPEN,
@@ -34,15 +34,7 @@ from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE,
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.tiling import LEVELS, Window
-from postfx.runtime import (
-    ArgumentTable,
-    CommandBuffer,
-    ComputeEncoder,
-    Device,
-    ModelError,
-    PipelineState,
-    Tensor,
-)
+from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, ModelError, PipelineState, Tensor
 from postfx.runtime.tensor import TensorHeap
 
 PACKED, RAW = "packed_", "raw_"
@@ -74,7 +66,7 @@ def stored_channels(name: str) -> int:
 
 def seen_by(state: PipelineState) -> dict[str, tuple[int, ...]]:
     """Shapes of what kernels prepare for a network, by name."""
-    seen: dict[str, tuple[int, ...]] = {}
+    seen = dict[str, tuple[int, ...]]()
     for binding in state.bindings:
         name, size = binding.name.removeprefix(PACKED), state.shapes[binding.name]
         if name in FEATURE_PARTS:
@@ -98,8 +90,7 @@ def parts_of(features: Tensor) -> dict[str, Tensor]:
 
 def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
     """Shapes of a network's heads after their activations, by name."""
-    heads: dict[str, tuple[int, ...]] = {}
-    seen = seen_by(state)["features"][2:]
+    heads, seen = dict[str, tuple[int, ...]](), seen_by(state)["features"][2:]
     for binding in state.bindings:
         name, size = binding.name.removeprefix(RAW), state.shapes[binding.name]
         if binding.name == PHASED_FINE:
@@ -131,7 +122,8 @@ def alike_heads(state: PipelineState) -> dict[str, np.ndarray]:
 
 
 class Network:
-    """A network that reads `seen` and writes `heads`, both by name; `new` makes the tensors in between."""
+    """A network that reads `seen` and writes `heads`, both by name; `new` makes the tensors in between. Its tables
+    `looks` run in place of those of their names: on a CPU the kernel 'features' itself writes 8 bits."""
 
     def __init__(self, state: PipelineState, seen: Mapping[str, Tensor], heads: Mapping[str, Tensor],
                  new: Callable[[str, tuple[int, ...], str], Tensor]) -> None:
@@ -139,13 +131,17 @@ class Network:
         if unmarked:
             raise ModelError(f"network '{state.name}': no card beside it marks {', '.join(unmarked)} as constant; take "
                              "the card that it was made with, or make both again with training.denoise.quantise")
-        made = {b.name: heads[b.name] if b.name in heads else new(b.name, state.shapes[b.name], b.dtype)
+        made = {b.name: heads.get(b.name) or new(b.name, state.shapes[b.name], b.dtype)
                 for b in state.bindings if b.name.startswith(MADE)}
         constants = {name: upload(state.device.heap, name, array) for name, array in state.constants.items()
                      if name.startswith((CODING, SCALING))}
         known = {**parts_of(seen["features"]), **seen, **heads, **made}
         self._table = ArgumentTable(state, {binding.name: known[binding.name] for binding in state.bindings})
         packed = [name for name in made if name.startswith((PACKED, STORED)) and name not in seen]
+        self.looks, features = dict[str, ArgumentTable](), "features"
+        if _codes_features(state):
+            packed.remove(name := f"{STORED}{features}")
+            self.looks[features] = _table(state, STORED_FEATURE, coding=constants[CODING + features], stored=made[name])
         closed = [name for name in made if name.startswith((RAW, PHASED_FINE, PRODUCTS))]
         self._before = [_packer(state, made[name], constants, seen) for name in packed]
         openers = [_openers(state, made[name], constants, heads) for name in closed]
@@ -180,8 +176,7 @@ def upload(heap: TensorHeap, name: str, array: np.ndarray, dtype: str = "float32
 
 def _openers(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor],
              heads: Mapping[str, Tensor]) -> list[ArgumentTable]:
-    """Tables to run one after the other. Of products that lie behind the fine head in the same memory, some channels at
-    a time take the place of those before."""
+    """Tables to run in turn. Of products behind the fine head in one memory, some take the place of those before."""
     if closed.name not in heads:
         return [_opener(state, closed, constants, heads)]
     fine, (_, count, rows, columns), tables = heads["fine"], heads["fine"].shape, []
@@ -221,6 +216,11 @@ def _is_half(state: PipelineState) -> bool:
     return state.device.gpu is not None and f"{PACKED}features" in state.shapes
 
 
+def _codes_features(state: PipelineState) -> bool:
+    """Whether the features are made in 8 bits: for such a network on a CPU."""
+    return state.device.runs_rows and f"{STORED}features" in state.shapes
+
+
 def _kernel_for(kernel: Kernel, half: bool) -> Kernel:
     return IN_HALF.get(kernel, kernel) if half else kernel
 
@@ -241,8 +241,6 @@ ENDS = {PLAIN: (REMODULATE, UPSAMPLE), GUIDED: (REMODULATE_BOTH, UPSAMPLE_GUIDED
 """Kernels that put the reflectance back and enlarge: before, with that of guides, or after, at the render size."""
 MOST_PLACES = 64
 """Windows of one size whose positions stay on the device."""
-
-
 Tables = dict[bool, dict[str, ArgumentTable]]
 """Argument tables by name, for networks in half precision on a GPU and for others."""
 
@@ -251,8 +249,7 @@ class Graph:
     """Pipeline states, tensors and argument tables for windows of one size.
 
     A guided graph's models also read guides, and colour gets the guides' reflectance at output size, as far as it is
-    trusted. A reactive graph can use masks that say how much of the history counts. Models that doubt planes also read
-    their mean around each pixel.
+    trusted. A reactive graph can use masks of how much history counts. Models that doubt planes also read their mean.
     """
 
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
@@ -272,7 +269,7 @@ class Graph:
         self._make_tensors(networks[models[0]])
         self._seen |= {name: between(name, state.shapes[name], "float16") for model, state in networks.items()
                        for name in IN_HALF[FEATURE].writes if self._half[model] and name in state.shapes}
-        self._make_tables()
+        self._make_tables(all(map(_codes_features, networks.values())))
         self._networks = {model: Network(state, self._seen, self._heads[model], between)
                           for model, state in networks.items()}
 
@@ -292,8 +289,8 @@ class Graph:
         end, doubts = self._ends[model], model in self._doubting
         known = {"warped": warped, "keep": self._keep(tensors, masked), "fine": self._heads[model]["fine"],
                  "means": self._means if doubts else self._no_means}
-        tables = self._tables[self._half[model]]
-        self._bind(tables, {**tensors, **known}, self._place(window), self._heads[model])
+        tables = self._tables[self._half[model]] | self._networks[model].looks
+        self._bind(tables, {**self._made, **tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             self._run(encoder, tables, "dilate", *("means",) * doubts)
@@ -355,7 +352,7 @@ class Graph:
     def _new_tables(self) -> Tables:
         return {half: {} for half in self._half.values()}
 
-    def _make_tables(self) -> None:
+    def _make_tables(self, coded: bool) -> None:
         level = self._window.level
         accumulated = self._new("level 0", (4, *level(0)))
         self._importance = [accumulated.view("importance 0", (1, *level(0)), 3 * math.prod(level(0)))]
@@ -364,8 +361,8 @@ class Graph:
         filtered, self._filter_order = self._make_pyramid(self._tables, accumulated.view("light 0", (3, *level(0))))
         made = self._made | self._seen | {"level": accumulated, "filtered": filtered}
         self._looks = ("features", "guides", "trust") if self._guided else ("features",)
-        for name, kernel in (("dilate", DILATE), ("history", HISTORY),
-                             ("features", FEATURE), ("accumulate", ACCUMULATE)):
+        kernels = (("dilate", DILATE), ("history", HISTORY), ("accumulate", ACCUMULATE), ("features", FEATURE))
+        for name, kernel in kernels[:3] if coded else kernels:
             self._table(self._tables, name, kernel, **made)
         for end in set(self._ends.values()):
             size = (3 if end == PLAIN else 6, self._window.rows + 2, self._window.columns + 2)
@@ -447,7 +444,7 @@ def _places(window: Window) -> dict[str, dict[str, np.ndarray]]:
 class ClassicGraph:
     """Tensors and argument tables of the classical filter for windows of one size, used like a `Graph` of networks.
 
-    It reads and writes the same history, but filters no layers beside the picture, and reads no guides.
+    It reads and writes the same history, but filters no layers and reads no guides.
     """
 
     def __init__(self, device: Device, window: Window, reactive: bool = False) -> None:
@@ -473,8 +470,8 @@ class ClassicGraph:
 
     def encode(self, commands: CommandBuffer, window: Window, tensors: Mapping[str, Tensor], masked: bool) -> None:
         """Record the work on a window; the arguments are those of `Graph.encode`."""
-        known = {**tensors, **self._made, **self._place(window)}
-        known["keep"] = self._made["keep"] if masked else tensors["keep"]
+        kept = self._made["keep"] if masked else tensors["keep"]
+        known = {**tensors, **self._made, **self._place(window), "keep": kept}
         for name, table in self._tables.items():
             seen = {**known, "light": self._ends[name]} if name in self._ends else known
             fixed = ("light", "smooth", "step") if name in self._order else ()
