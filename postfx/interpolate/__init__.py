@@ -30,7 +30,6 @@ from postfx.interpolate.choose import (
     LUMINANCE,
     MARGIN,
     choose_paths,
-    fill_holes,
     measure_change,
     measure_detail,
     merge_sides,
@@ -374,11 +373,12 @@ class Between:
             own[..., :4] -= shift
             for side in (one, other):
                 side[..., :4] -= shift / np.float32(self._scale)
-        at_once([lambda: fill_holes(own, np.minimum(near, far)), lambda: self._noise])
+        at_once([lambda: paths.fill_holes(own, np.minimum(near, far)), lambda: self._noise])
         in_bands(len(own), measure_change, one, other, np.float32(self._scale), own)
         cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
         in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows,
-                  self._mirrored, near, far, first.depth, last.depth, t, self._scale, self._noise, cells)
+                  self._mirrored, first.ends, first.seen, last.ends, last.seen, near, far, first.depth, last.depth, t,
+                  self._scale, self._noise, cells)
         in_bands(self._grid[0], join_cells, cells)
         in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, self._noise, cells)
         return cells

@@ -29,6 +29,11 @@ OTHER = np.float32(0.3)
 """Pixels by which paths must differ to be worth a comparison."""
 BETTER = np.float32(1.5)
 """How many times as well another path must fit to be taken; one of a cell beside, by the misfit of noise more."""
+SAME = np.float32(0.5)
+"""Pixels by which a flow must differ from the whole way of a cell's path: what is known of that way's curve is better
+than a line."""
+EXPLAINED = np.float32(2)
+"""How many times the misfit of a flow and the noise what leads elsewhere from the flow's ends may have."""
 ELSE = np.float32(0.5)
 """Share of a depth below which something is another thing, in front. What stands for depth where there is none never
 differs by more."""
@@ -99,40 +104,6 @@ def merge_sides(y0: int, y1: int, first: np.ndarray, first_depth: np.ndarray, la
                 one = other
             for c in range(6):
                 own[y, x, c] = one[c]
-
-
-@compiled
-def fill_holes(field: np.ndarray, depth: np.ndarray) -> None:
-    """Give cells without a path that of the farthest of the next ones to the left, to the right, above and below: what
-    is uncovered is background. Without any, the cell stands still."""
-    h, w = depth.shape
-    holes = 0
-    for y in range(h):
-        for x in range(w):
-            holes += field[y, x, 0] != field[y, x, 0]
-    place, source = np.empty((holes, 2), np.int64), np.full((holes, 2), -1)
-    for turn in range(4):  # down, up; each row to the right, to the left
-        above, k = np.full(w, -1), 0 if turn % 2 == 0 else holes
-        for line in range(h):
-            y, beside = line if turn % 2 == 0 else h - 1 - line, -1
-            for column in range(w):
-                x = column if turn % 2 == 0 else w - 1 - column
-                if field[y, x, 0] == field[y, x, 0]:
-                    above[x], beside = y, x
-                    continue
-                k -= turn % 2
-                j, i = (above[x], x) if turn < 2 else (y, beside)
-                is_known = j >= 0 and i >= 0
-                if is_known and (source[k, 0] < 0 or depth[j, i] > depth[source[k, 0], source[k, 1]]):
-                    source[k, 0], source[k, 1] = j, i
-                place[k, 0], place[k, 1] = y, x
-                k += 1 - turn % 2
-    for k in range(holes):
-        y, x = place[k, 0], place[k, 1]
-        if source[k, 0] < 0:
-            field[y, x, :4], field[y, x, 4:] = ZERO, ONE
-        else:
-            field[y, x] = field[source[k, 0], source[k, 1]]
 
 
 @inline
@@ -366,12 +337,36 @@ def is_turning(own: np.ndarray, y: int, x: int, size: Real) -> bool:
     return bool(2 * TWIST * size < most and uneven < EVEN)
 
 
+@inline
+def end_misfit(before: np.ndarray, after: np.ndarray, known_before: np.ndarray, known_after: np.ndarray,
+               ends: np.ndarray, seen: np.ndarray, y: Real, x: Real, size: Real) -> Real:
+    """Misfit of the path that a frame's planes give what it shows at a pixel; -1 where the other frame hides it."""
+    half = np.float32(0.5)
+    j = min(max(int((y + half) / size), 0), seen.shape[0] - 1)
+    i = min(max(int((x + half) / size), 0), seen.shape[1] - 1)
+    path = size * ends[j, i, 0], size * ends[j, i, 1], size * ends[j, i, 2], size * ends[j, i, 3], ONE, ONE
+    return misfit(before, after, known_before, known_after, y, x, path) if seen[j, i] > 0 else -ONE
+
+
+@uncounted
+def is_explained(before: np.ndarray, after: np.ndarray, known_before: np.ndarray, known_after: np.ndarray,
+                 first_ends: np.ndarray, first_seen: np.ndarray, last_ends: np.ndarray, last_seen: np.ndarray,
+                 y: Real, x: Real, path: Path, size: Real, most: Real) -> bool:
+    """Whether what a flow shows in one of the frames goes elsewhere by its planes, with a misfit of `most` or less: the
+    flow then leads from one thing to another."""
+    one = end_misfit(before, after, known_before, known_after, first_ends, first_seen, y + path[1], x + path[0], size)
+    if 0 <= one <= most:
+        return True
+    other = end_misfit(before, after, known_before, known_after, last_ends, last_seen, y + path[3], x + path[2], size)
+    return bool(0 <= other <= most)
+
+
 @uncounted
 def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
                  known_after: np.ndarray, own: np.ndarray, first: np.ndarray, last: np.ndarray, ahead: np.ndarray,
-                 back: np.ndarray, mirrored: np.ndarray, first_depth: np.ndarray, last_depth: np.ndarray,
-                 near: np.ndarray, far: np.ndarray, t: Real,
-                 scale: int, noise: Real, cells: np.ndarray) -> None:
+                 back: np.ndarray, mirrored: np.ndarray, first_ends: np.ndarray, first_seen: np.ndarray,
+                 last_ends: np.ndarray, last_seen: np.ndarray, first_depth: np.ndarray, last_depth: np.ndarray,
+                 near: np.ndarray, far: np.ndarray, t: Real, scale: int, noise: Real, cells: np.ndarray) -> None:
     """The path of each cell (rows, columns, 8): its own, or another one around it or of the flow that fits much better;
     the last two numbers are left.
 
@@ -379,6 +374,7 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
     `measure_change` leaves it.
     first, last: both sides, whose paths around a cell are tried. ahead, back: (rows, columns, 2) flow of both frames to
     the other one, in pixels, or empty. mirrored: likewise of what the frame after reflects, to the one before.
+    first_ends, first_seen, last_ends, last_seen: of `paths.Paths`, for flows.
     first_depth, last_depth: (rows, columns) of what arrived of each side. near, far: (rows, columns, 1) depth of both
     frames. scale: pixels of a cell. noise: misfit of paths that are right.
     """
@@ -427,6 +423,9 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
                 if k < around:
                     beyond = first_depth[j, i] if k < steps else last_depth[j, i]
                 elif k < flowing:
+                    if max(abs(path[2] - path[0] - mine[2] + mine[0]),
+                           abs(path[3] - path[1] - mine[3] + mine[1])) < SAME:
+                        continue
                     one = depth_at(near, v + path[1], u + path[0], size)
                     other = depth_at(far, v + path[3], u + path[2], size)
                     if max(one, other) < ELSE * beyond and beyond < FAR:  # two bars that look alike are not one
@@ -440,8 +439,9 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
                 margin = noise if k < around else margin
                 if best < -ONE:
                     best = misfit(before, after, known_before, known_after, v, u, mine)
-                    is_seen = 0 <= best < TRUSTED * unseen
-                    if not is_seen and (best < 0 or mine[4] + mine[5] < 2):
+                    fits = 0 <= best < TRUSTED * unseen
+                    is_seen = fits and k < around
+                    if not fits and (best < 0 or mine[4] + mine[5] < 2):
                         best = unseen
                 if best <= noise:
                     break
@@ -449,8 +449,13 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
                 fits = 0 <= fit < TRUSTED * unseen
                 if not fits and (fit < 0 or path[4] + path[5] < 2):
                     fit = unseen
-                if (better if best < APART else BETTER) * fit + margin < best:
-                    best, taken, is_seen = fit, path, fits
+                if not (better if best < APART else BETTER) * fit + margin < best:
+                    continue
+                if around <= k < flowing and fits and mine[4] + mine[5] < 2:
+                    if is_explained(before, after, known_before, known_after, first_ends, first_seen, last_ends,
+                                    last_seen, v, u, path, size, EXPLAINED * (fit + noise)):
+                        continue
+                best, taken, is_seen = fit, path, fits
             if is_seen:
                 taken = taken[0], taken[1], taken[2], taken[3], ONE, ONE
             for c in range(6):

@@ -22,7 +22,7 @@ import numpy as np
 
 from postfx.frame import DEPTH_MISS
 from postfx.io.convert import centre_positions, fit_camera
-from postfx.kernels.numeric import Real, add_eight, divide_eight, inline, load_eight, store_eight, uncounted
+from postfx.kernels.numeric import Real, add_eight, compiled, divide_eight, inline, load_eight, store_eight, uncounted
 from postfx.system import usable_cores
 from postfx.temporal import reverse_motion
 from postfx.temporal.reverse_motion import LOST
@@ -458,3 +458,37 @@ def close_cracks(nearest: np.ndarray, found: np.ndarray, depth: np.ndarray) -> N
                     depth[y, x] = np.float32(0.5) * (one + other)
             if best == FAR:
                 found[y, x, 0] = np.nan
+
+
+@compiled
+def fill_holes(field: np.ndarray, depth: np.ndarray) -> None:
+    """Give cells without a path that of the farthest of the next ones to the left, to the right, above and below: what
+    is uncovered is background. Without any, the cell stands still."""
+    h, w = depth.shape
+    holes = 0
+    for y in range(h):
+        for x in range(w):
+            holes += field[y, x, 0] != field[y, x, 0]
+    place, source = np.empty((holes, 2), np.int64), np.full((holes, 2), -1)
+    for turn in range(4):  # down, up; each row to the right, to the left
+        above, k = np.full(w, -1), 0 if turn % 2 == 0 else holes
+        for line in range(h):
+            y, beside = line if turn % 2 == 0 else h - 1 - line, -1
+            for column in range(w):
+                x = column if turn % 2 == 0 else w - 1 - column
+                if field[y, x, 0] == field[y, x, 0]:
+                    above[x], beside = y, x
+                    continue
+                k -= turn % 2
+                j, i = (above[x], x) if turn < 2 else (y, beside)
+                is_known = j >= 0 and i >= 0
+                if is_known and (source[k, 0] < 0 or depth[j, i] > depth[source[k, 0], source[k, 1]]):
+                    source[k, 0], source[k, 1] = j, i
+                place[k, 0], place[k, 1] = y, x
+                k += 1 - turn % 2
+    for k in range(holes):
+        y, x = place[k, 0], place[k, 1]
+        if source[k, 0] < 0:
+            field[y, x, :4], field[y, x, 4:] = np.float32(0), np.float32(1)
+        else:
+            field[y, x] = field[source[k, 0], source[k, 1]]

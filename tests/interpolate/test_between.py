@@ -192,6 +192,26 @@ def test_thin_things_are_where_they_are_and_nowhere_else(flow):
     assert {56, 92} <= set(dark) <= {54, 55, 56, 57, 58, 90, 91, 92, 93, 94}
 
 
+def railed(t: float, step: float) -> Frame:
+    """Bars 18 pixels apart that move by `step` a frame, before a wall that moves by 3."""
+    y, x = np.indices((96, 160), np.float64)
+    is_bar, at = np.abs((x - step * t) % 18 - 9) < 1.5, x - 3 * t
+    light = 1 + 0.3 * np.sin(0.5 * at + 2 * np.sin(0.11 * at)) * np.sin(0.4 * y) + 0.3 * np.sin(0.37 * at + 0.7 * y)
+    planes = {Role.COLOUR: np.where(is_bar, 0.15, light)[..., None].repeat(3, -1),
+              Role.MOTION: np.stack([np.where(is_bar, -step, -3), 0 * y], -1),
+              Role.DEPTH: np.where(is_bar, 2, 8)[..., None]}
+    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=int(t) + 1)
+
+
+@pytest.mark.parametrize("step", [16, 24])
+def test_a_flow_from_bar_to_bar_is_not_followed(step):
+    """It fits where only one frame shows the wall. Planes tell where the bar and the wall at its ends go."""
+    wanted = railed(0.5, step)[Role.COLOUR]
+    errors = [np.square(Between(railed(0, step), railed(1, step), flow=flow).frame(0.5)[Role.COLOUR] - wanted
+                        )[8:-8, 24:-24].mean() for flow in (True, False)]
+    assert errors[0] < 1.05 * errors[1]
+
+
 def test_what_is_dark_in_one_frame_and_black_in_the_other_is_mixed():
     frames = []
     for number, dark in ((1, 1e-3), (2, 0.0)):
