@@ -67,7 +67,9 @@ def convert(
         plane[missed] = 0
     if rule.role is Role.MOTION:
         plane = _motion_pixels(plane, rule, camera, *(camera.display_size or (plane.shape[1], height)))
-        plane[~np.isfinite(plane)] = 0
+        finite = np.isfinite(plane)
+        if not finite.all():
+            plane[~finite] = 0
     if rule.role is Role.NORMAL and rule.space != "world":
         assert camera.world_to_camera is not None, "the plane is not used without a worldToCamera header"
         if rule.space == "view" and np.linalg.det(camera.world_to_camera[:3, :3]) < 0:
@@ -97,9 +99,14 @@ def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int, heig
         missed |= stored == np.float32(rule.miss)
     if rule.kind in ("planar", "ray") and not any(rule.offset):
         missed |= stored == 0  # no surface lies in the eye: many renderers write this where nothing was hit
-    plane = _affine(np.where(missed, 0, stored), rule)
+    if missed.any():
+        stored[missed] = 0
+    plane = _affine(stored, rule)
     missed |= plane >= DEPTH_MISS
-    return np.ascontiguousarray(np.where(missed, DEPTH_MISS, _planar(plane, rule, camera, first, height)), np.float32)
+    found = _planar(plane, rule, camera, first, height)
+    if missed.any():
+        found[missed] = DEPTH_MISS
+    return np.ascontiguousarray(found, np.float32)
 
 
 def _planar(plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:

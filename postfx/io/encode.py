@@ -37,11 +37,12 @@ _STEPS = 1 << 16
 
 
 def to_halves(light: np.ndarray) -> np.ndarray:
-    """float16 nearest to light of any shape, cut to +-65504; NaN stays."""
-    values = np.ascontiguousarray(light, np.float32).reshape(-1)
-    found = np.empty(values.shape, np.uint16)
-    halve(values, values.view(np.int32), found)
-    return found.view(np.float16).reshape(light.shape)
+    """float16 nearest to light of any shape, cut to +-65504; NaN stays. Channels of (height, width, channels) lie one
+    after the other in memory, as they are written."""
+    height, width, count = light.shape if light.ndim == 3 else (1, light.size, 1)
+    values, found = np.ascontiguousarray(light, np.float32), np.empty((count, height * width), np.uint16)
+    halve(values.reshape(-1).view(np.int32), found)
+    return np.moveaxis(found.view(np.float16).reshape(count, height, width), 0, -1).reshape(light.shape)
 
 
 def light_of(codes: np.ndarray, display: Display) -> np.ndarray:

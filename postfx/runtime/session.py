@@ -285,8 +285,10 @@ def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.Sessio
     options.log_severity_level = 3
     # The memory pattern's block is allocated on top of the first run's memory; docs/runtime.md has figures.
     options.enable_mem_pattern = False
-    # Threads spin between nodes but not between runs, when other sessions and kernels need the cores.
+    # Threads spin between nodes, longer than most take, but not on and on where a thread that they wait for lost its
+    # core to others, and not between runs, when other sessions and kernels need the cores.
     options.add_session_config_entry("session.intra_op.allow_spinning", "1")
+    options.add_session_config_entry("session.intra_op.spin_duration_us", "200")
     options.add_session_config_entry("session.force_spinning_stop", "1")
     options.add_session_config_entry("session.use_env_allocators", "1")
     for name, size in dims.items():
