@@ -154,7 +154,7 @@ CHOSEN = (
     ("py", "BLEND = TAP_WEIGHTS + PHASES", "BLEND = TAP_WEIGHTS + PHASES - 1"),
     ("py", "shift = i - REACH", "shift = REACH - i"),
     ("py", "(x + first) // 2", "x // 2"),
-    ("py", "corner, found = 2 * lower + side", "corner, found = 2 * side + lower"),
+    ("py", "(TAP_WEIGHTS + 2 * lower) * hp", "(TAP_WEIGHTS + lower) * hp"),
     ("py", "moved[at, 0] * scale[0]", "moved[at, 0] * scale[1]"),
     ("py", "first = 4 * channel + 2 * (y % 2)\n            left, right, row = phased",
      "first = 4 * channel + (y % 2)\n            left, right, row = phased"),

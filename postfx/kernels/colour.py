@@ -27,7 +27,7 @@ import numpy as np
 
 from postfx.colour import LUMA_REC2020
 from postfx.kernels import Kernel
-from postfx.kernels.numeric import BRIGHTEST, Real, clamp, compiled, fused, inline
+from postfx.kernels.numeric import BRIGHTEST, Real, add_four, clamp, compiled, fused, inline, load_four, store_four
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 
@@ -69,15 +69,21 @@ def _find(shaped: np.ndarray, size: int, places: np.ndarray, shares: np.ndarray)
 
 @fused
 def _gather(flat: np.ndarray, across: int, places: np.ndarray, shares: np.ndarray, output: np.ndarray) -> None:
-    """Weighted sums of the corners' colours; the fourth corner is `across` numbers after the first."""
+    """Weighted sums of the corners' colours; the fourth corner is `across` numbers after the first. Colours are read
+    with the number behind, the fourth with the one before it, as it may be the cube's last."""
+    target, last, none = output.reshape(output.size), output.shape[0] - 1, (ZERO, ZERO, ZERO, ZERO)
+    first, second, third, most, middle, least = places[0], places[1], places[2], shares[0], shares[1], shares[2]
     for x in range(output.shape[0]):
-        a, b, c = np.uint32(places[0, x]), np.uint32(places[1, x]), np.uint32(places[2, x])  # signs would be looked at
-        d = a + np.uint32(across)
-        most, middle, least = shares[0, x], shares[1, x], shares[2, x]
-        w0, w1, w2 = ONE - most, most - middle, middle - least
-        output[x, 0] = w0 * flat[a] + w1 * flat[b] + (w2 * flat[c] + least * flat[d])
-        output[x, 1] = w0 * flat[a + 1] + w1 * flat[b + 1] + (w2 * flat[c + 1] + least * flat[d + 1])
-        output[x, 2] = w0 * flat[a + 2] + w1 * flat[b + 2] + (w2 * flat[c + 2] + least * flat[d + 2])
+        a, b, c = np.uint64(first[x]), np.uint64(second[x]), np.uint64(third[x])  # signs would be looked at
+        _, r, g, blue = load_four(flat, a + np.uint64(across - 1))
+        near = add_four(none, load_four(flat, b), most[x] - middle[x])
+        far = add_four(none, (r, g, blue, blue), least[x])
+        found = add_four(add_four(near, load_four(flat, a), ONE - most[x]),
+                         add_four(far, load_four(flat, c), middle[x] - least[x]), ONE)
+        if x < last:
+            store_four(target, 3 * x, found)
+        else:
+            output[x, 0], output[x, 1], output[x, 2], _ = found
 
 
 EXPOSURE, TOE, SCALE = 0, 1, 2  # places in `params`

@@ -108,6 +108,18 @@ class Lanes:
         place = self.builder.bitcast(self.builder.gep(data, [at]), kind)
         return Vector(self.builder, self.builder.load(place, align=4))
 
+    def store(self, array: Any, at: Any, vector: Vector) -> None:
+        """Put a vector's numbers into an array, from an index on."""
+        data = _data(self.context, self.builder, self.arrays[id(array)], array)
+        place = self.builder.bitcast(self.builder.gep(data, [at]), vector.value.type.as_pointer())
+        self.builder.store(vector.value, place, align=4)
+
+    def repeat(self, array: Any, at: int) -> Vector:
+        """A number of an array, as often as there are lanes."""
+        data = _data(self.context, self.builder, self.arrays[id(array)], array)
+        number = self.builder.load(self.builder.gep(data, [_index(at)]))
+        return Vector(self.builder, _repeat(self.builder, number, self.count))
+
     def constant(self, numbers: Sequence[float]) -> Vector:
         """Numbers that are known, as many as there are."""
         kind = ir.VectorType(ir.FloatType(), len(numbers))
@@ -135,7 +147,8 @@ class Lanes:
 
 
 def in_lanes(count: int, results: int = 1) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator of a function of vectors of this many numbers, which gives one result or a tuple of several."""
+    """Decorator of a function of vectors of this many numbers, which gives one result, a tuple of several, or none (0)
+    and stores what it computes."""
     made_with = tuple(one for kind in (Vector, Lanes) for one in vars(kind).values() if callable(one))
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -143,11 +156,14 @@ def in_lanes(count: int, results: int = 1) -> Callable[[Callable[..., Any]], Any
             assert made_with, "is part of what compiled code is cached by"
             kinds = [kind if isinstance(kind, types.Array) else types.int64 if isinstance(kind, types.Integer)
                      else types.float32 for kind in arguments]
-            result = types.float32 if results == 1 else types.UniTuple(types.float32, results)
+            number = types.float32
+            result = types.none if not results else number if results == 1 else types.UniTuple(number, results)
 
             def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
                 arrays = {id(value): kind for value, kind in zip(values, signature.args, strict=True)}
                 found = function(Lanes(count, context, builder, arrays), *values)
+                if not results:
+                    return context.get_dummy_value()
                 return context.make_tuple(builder, result, found) if isinstance(found, tuple) else found
 
             return result(*kinds), generate

@@ -36,6 +36,7 @@ from postfx.kernels.numeric import (
     clamp,
     compiled,
     demodulation,
+    demodulation_row,
     inline,
     summed,
 )
@@ -109,25 +110,40 @@ def dilate_rows(y0: int, y1: int, motion: np.ndarray, depth: np.ndarray, part_ro
 
 
 @compiled
+def add_cells(row: np.ndarray, starts: np.ndarray, total: np.ndarray) -> None:
+    """Add the pixels of a row to the sums of the cells that begin at ``starts``, the first of them at the row's first
+    pixel."""
+    for column in range(starts.size):
+        found, start = total[column], starts[column] - starts[0]
+        for x in range(start, min(start + TRUST_CELL, row.size)):
+            found += row[x]
+        total[column] = found
+
+
+@compiled
 def mean_rows(y0: int, y1: int, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, part_rows: np.ndarray,
               part_columns: np.ndarray, means: np.ndarray) -> None:
     """Mean reflectance of the frame's cells from the one before the part's first row and column on; the frame's first
     and last cells repeat beyond it."""
     h, w = diffuse_albedo.shape[:2]
-    top, left = int(part_rows[0]) // TRUST_CELL - 1, int(part_columns[0]) // TRUST_CELL - 1
+    top, left, last = int(part_rows[0]) // TRUST_CELL - 1, int(part_columns[0]) // TRUST_CELL - 1, (w - 1) // TRUST_CELL
+    starts = np.empty(means.shape[1], np.int64)
+    for column in range(starts.size):
+        starts[column] = min(max(left + column, 0), last) * TRUST_CELL
+    begin, total = starts[0], np.empty((3, starts.size), np.float32)
+    own = np.empty((3, min(starts[-1] + TRUST_CELL, w) - begin), np.float32)
     for row in range(y0, y1):
         first = min(max(top + row, 0), (h - 1) // TRUST_CELL) * TRUST_CELL
         end = min(first + TRUST_CELL, h)
-        for column in range(means.shape[1]):
-            start = min(max(left + column, 0), (w - 1) // TRUST_CELL) * TRUST_CELL
-            stop = min(start + TRUST_CELL, w)
-            r = g = b = ZERO
-            for y in range(first, end):
-                for x in range(start, stop):
-                    own = demodulation(diffuse_albedo, specular_albedo, y, x)
-                    r, g, b = r + own[0], g + own[1], b + own[2]
-            share = ONE / np.float32((end - first) * (stop - start))
-            means[row, column, 0], means[row, column, 1], means[row, column, 2] = r * share, g * share, b * share
+        total[:] = ZERO
+        for y in range(first, end):
+            demodulation_row(diffuse_albedo[y, begin:], specular_albedo[y, begin:], own[0], own[1], own[2])
+            for c in range(3):
+                add_cells(own[c], starts, total[c])
+        for column in range(starts.size):
+            share = ONE / np.float32((end - first) * (min(starts[column] + TRUST_CELL, w) - starts[column]))
+            for c in range(3):
+                means[row, column, c] = total[c, column] * share
 
 
 @inline

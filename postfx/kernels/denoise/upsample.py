@@ -7,6 +7,7 @@ arrays, because those become vector code.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -37,8 +38,6 @@ from postfx.kernels.denoise.features import place_of, trust_row
 from postfx.kernels.denoise.history import kept_row
 from postfx.kernels.numeric import (
     Real,
-    add,
-    add_product,
     centre,
     compiled,
     demodulation,
@@ -48,6 +47,7 @@ from postfx.kernels.numeric import (
     log_encode,
     vectorised,
 )
+from postfx.kernels.vectors import in_lanes
 
 SIGMA, WIDE_SIGMA = 0.5, 1.0
 NONE, GUIDED, OWN = range(3)
@@ -114,12 +114,6 @@ def lean_on(corners: np.ndarray, index: np.ndarray, leans: np.ndarray, out: np.n
 
 
 @vectorised
-def scale_row(row: np.ndarray, scale: Real, out: np.ndarray) -> None:
-    for x in range(out.size):
-        out[x] = row[x] * scale
-
-
-@vectorised
 def weigh_three(a: np.ndarray, b: np.ndarray, c: np.ndarray, u: Real, v: Real, w: Real, out: np.ndarray) -> None:
     """a * u + b * v + c * w, over the length of ``out``."""
     for x in range(out.size):
@@ -180,6 +174,8 @@ def repeat_three(even: np.ndarray, odd: np.ndarray, flat: np.ndarray) -> None:
 
 
 TAPS = 9
+WIDE = 16
+"""Pixels whose taps are weighed at once."""
 ONE, MOST_LIGHT = np.float32(1), np.float32(MAX_FLOAT)
 
 
@@ -264,36 +260,64 @@ def soften(line: np.ndarray, wide_x: np.ndarray, side: int, out: np.ndarray) -> 
     weigh_three(line, line[1:], line[2:], wide_x[0, side], wide_x[1, side], wide_x[2, side], out)
 
 
+@in_lanes(WIDE, results=0)
+def weigh_some(v: Any, weights: Any, at: Any, phase: Any, tap: Any, scales: Any, samples: Any, to: Any, line: Any,
+               plane: Any, found: Any, even: Any, odd: Any, sums: Any, row: Any) -> None:
+    """Some pixels of `weigh_taps`: places in the flat arrays, and steps there."""
+    sides = [[v.constant([float(TINY)] * WIDE), *[v.constant([0.0] * WIDE)] * 3] for _ in range(2)]
+    for k in range(TAPS):
+        place = v.step(v.step(to, line, k // 3), 1, k % 3)
+        pixels = [v.load(samples, v.step(place, plane, c)) for c in range(3)]
+        for side, (whole, *light) in enumerate(sides):
+            weight = v.load(weights, v.step(v.step(at, phase, side), tap, k)) * v.repeat(scales, TAPS * side + k)
+            sides[side] = [whole + weight, *(one + weight * pixel for one, pixel in zip(light, pixels, strict=True))]
+    for side, (whole, *light) in enumerate(sides):
+        v.store(found, v.step(sums, row, side), whole)
+        for c, one in enumerate(light):
+            v.store(found, v.step((even, odd)[side], row, c), one)
+
+
+@fused
+def weigh_taps(lower: int, iy: int, fine: np.ndarray, scales: np.ndarray, radiance: np.ndarray, channel: int,
+               rows: np.ndarray) -> None:
+    """Weighted sums of 3x3 samples of three planes, from a `channel` on, for a row at scale 2: into `rows` of the even
+    pixels' channels, then the odd ones', and the sums of their weights. `scales` are those of the taps by distance."""
+    (_, _, hp, wp), (channels, tall, wide), w = fine.shape, radiance.shape, rows.shape[1]
+    weights, samples, found = fine.reshape(fine.size), radiance.reshape(radiance.size), rows.reshape(rows.size)
+    at, to = ((TAP_WEIGHTS + 2 * lower) * hp + iy) * wp, (channel * tall + iy) * wide
+    for block in range((w + WIDE - 1) // WIDE):
+        x = min(WIDE * block, w - WIDE)
+        weigh_some(weights, at + x, hp * wp, 4 * hp * wp, scales, samples, to + x, wide, tall * wide, found,
+                   channel * w + x, (channels + channel) * w + x, 2 * channels * w + x, w)
+
+
 @compiled
 def double_row(y: int, left: int, iy: int, lower: int, radiance: np.ndarray, column: np.ndarray, fine: np.ndarray,
                moved: np.ndarray, past: np.ndarray, gauss_x: np.ndarray, gauss_y: np.ndarray, wide_x: np.ndarray,
                size: tuple[int, int], scale: tuple[Real, Real], share: np.ndarray, guide: np.ndarray,
                rows: np.ndarray, soft: np.ndarray, current: np.ndarray, trust: np.ndarray) -> None:
     """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps."""
-    channels, w = radiance.shape[0], rows.shape[1]
-    total, line = rows[2 * channels], rows[2 * channels + 1]
+    channels, w, scales = radiance.shape[0], rows.shape[1], np.empty(2 * TAPS, np.float32)
+    sums, line = rows[2 * channels:2 * channels + 2], rows[2 * channels + 2]
+    for tap in range(TAPS):
+        for side in range(2):
+            scales[TAPS * side + tap] = gauss_y[tap // 3] * gauss_x[tap % 3, side]
+    for channel in range(0, channels, 3):
+        weigh_taps(lower, iy, fine, scales, radiance, channel, rows)
     for side in range(2):
-        corner, found = 2 * lower + side, rows[side * channels:(side + 1) * channels]
-        found[:], total[:] = ZERO, TINY
-        for tap in range(TAPS):
-            j, i = tap // 3, tap % 3
-            scale_row(fine[0, TAP_WEIGHTS + 4 * tap + corner, iy], gauss_y[j] * gauss_x[i, side], line)
-            add(line, total)
-            for c in range(channels):
-                add_product(line, radiance[c, iy + j, i:i + w], found[c])
+        found = rows[side * channels:(side + 1) * channels]
         for c in range(3):
             soften(column[c], wide_x, side, soft)
             if channels > 3:
                 soften(column[3 + c], wide_x, side, line)
                 guided_row(line, guide[c], guide[3], side, 2, soft)
                 guided_row(found[3 + c], guide[c], guide[3], side, 2, found[c])
-            encode_sharp(found[c], total, soft, fine[0, SHARPEN + corner, iy])
+            encode_sharp(found[c], sums[side], soft, fine[0, SHARPEN + 2 * lower + side, iy])
     interleave(rows[:3], rows[channels:], current)
     for side in range(2):  # in the rows of sums, which are done with
-        kept = rows[2 * channels + side]
-        kept[:] = fine[0, BLEND + 2 * lower + side, iy, :w]
-        trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, kept)
-    repeat_three(total, line, trust)
+        sums[side] = fine[0, BLEND + 2 * lower + side, iy, :w]
+        trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, sums[side])
+    repeat_three(sums[0], sums[1], trust)
 
 
 @compiled
@@ -367,9 +391,9 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
         wide_x[0, x], wide_x[1, x], wide_x[2, x] = wide_gauss(params[JITTER_X] - offset)
         for i in range(3):
             gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
-    double = is_doubled(window)
+    double = is_doubled(window) and w >= WIDE
     corners = np.empty((2, w), np.float32)
-    rows = np.empty((2 * channels + 2, w) if double else (channels + 3, width), np.float32)
+    rows = np.empty((2 * channels + 3, w) if double else (channels + 3, width), np.float32)
     column, soft = np.empty((channels, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
     current, trust = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32)
     share = np.empty(w, np.float32)
