@@ -48,7 +48,7 @@ def test_the_next_item_is_read_while_this_one_is_worked_on() -> None:
     second = threading.Event()
     for number, _ in read_ahead(range(2), lambda item: item == 1 and second.set()):
         if number == 0:
-            assert second.wait(5)
+            assert second.wait(60)
 
 
 def test_an_error_of_reading_is_raised_at_the_items_turn() -> None:

@@ -54,10 +54,12 @@ def test_a_task_survives_json(task):
 def test_the_first_use_of_a_machine_does_not_count(task, tmp_path, monkeypatch):
     """Kernels are compiled in a first process, whose memory and time are forgotten."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    runs = []
+    runs, said, run = [], [], measure._run_process
+    monkeypatch.setattr(measure, "_run_process", lambda *words: said.append(run(*words)) or said[-1])
     times = run_task(task(OTHERS[-1]), runs.append)
     assert list((tmp_path / "cache").rglob("*.nbc"))
-    assert runs == [1, 2] and times["first_ms"] < 5000 and len(times["wall_ms"]) == 2
+    assert "times" not in said[0] and times is said[-1]["times"]
+    assert runs == [1, 2] and len(times["wall_ms"]) == 2
     assert (tmp_path / "out.0001.exr").is_file()
 
 

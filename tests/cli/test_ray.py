@@ -76,9 +76,9 @@ def test_an_actor_waits_for_files_of_a_process_that_may_be_dead(here, noise, mon
     work.mkdir(parents=True)
     claim = Claim(work, "dying", ["shot.0002.exr"])
     ending = threading.Timer(0.5, claim.release)
+    begin = time.monotonic()
     ending.start()
     words = ["postfx", "run", "in/shot.####.exr", "-o", "out/", "--no-denoise", "--ray", "auto", "--frames=1-3"]
-    begin = time.monotonic()
     _, _, faults = ChunkActor().run(str(noise), __version__, words)
     assert time.monotonic() - begin >= 0.5 and not faults
     assert len(list((noise / "out").glob("shot.*.exr"))) == 3

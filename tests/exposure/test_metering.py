@@ -149,13 +149,14 @@ def test_metadata_is_taken_from_the_header_or_the_file_is_named() -> None:
 
 
 def test_metering_half_a_megapixel_is_cheap() -> None:
+    """In this thread's own time: by the clock a busy machine takes as long as it likes."""
     colour = picture(height=540, width=960)
     measure(colour)
     seconds = []
     for _ in range(20):
-        start = time.perf_counter()
+        start = time.thread_time()
         measure(colour)
-        seconds.append(time.perf_counter() - start)
+        seconds.append(time.thread_time() - start)
     assert min(seconds) < 0.005
 
 

@@ -221,4 +221,4 @@ with ThreadPoolExecutor(1) as reader:
     os.close(writing)
     assert written == len(sent) and bytes(content.result()) == sent
 """
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=30)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)

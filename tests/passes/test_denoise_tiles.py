@@ -242,13 +242,14 @@ def test_the_portable_kernels_do_the_same(device: Device) -> None:
 
 
 def test_the_time_falls_with_the_mask(device: Device) -> None:
-    """The fastest of three, and far from what is measured, for the machine has other work."""
-    frame, times = noisy(1, 256, 448), []
-    for share in (0.0, 0.9):
-        tiled = chain(device, model="m")
-        frames = [masked(frame, np.arange(256)[:, None] >= share * 256)] * 5
-        times.append(min([tiled(one) and tiled.timings["denoise_upscale"] for one in frames][2:]))
-    assert times[1] < 0.75 * times[0]
+    """The fastest of eight in turns, and far from what is measured, for the machine has other work."""
+    shares = {share: masked(noisy(1, 256, 448), np.arange(256)[:, None] >= share * 256) for share in (0.0, 0.9)}
+    chains, times = {share: chain(device, model="m") for share in shares}, {share: [] for share in shares}
+    for _ in range(10):
+        for share, frame in shares.items():
+            chains[share](frame)
+            times[share].append(chains[share].timings["denoise_upscale"])
+    assert min(times[0.9][2:]) < 0.75 * min(times[0.0][2:])
 
 
 def test_a_still_picture_is_not_moved(device: Device) -> None:

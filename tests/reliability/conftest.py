@@ -85,7 +85,7 @@ class Runs:
 
     def wait_for(self, event: str, count: int = 1) -> None:
         """Wait until the log has so many events of a kind."""
-        end = time.monotonic() + 60
+        end = time.monotonic() + 300
         while sum(item["event"] == event for item in self.events()) < count:
             assert time.monotonic() < end, self.events()
             time.sleep(0.02)

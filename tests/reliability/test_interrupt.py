@@ -11,7 +11,7 @@ from postfx.errors import Interrupted
 from tests.reliability.faulty import Faulty
 
 SLOW = {"at": "postfx.pipeline.Flow._run", "do": "sleep", "seconds": 0.3}
-STUCK = {"at": "postfx.pipeline.Flow._run", "do": "sleep", "seconds": 20, "calls": [3]}
+STUCK = {"at": "postfx.pipeline.Flow._run", "do": "sleep", "seconds": 100, "calls": [3]}
 
 
 def stopped(process: Faulty, number: int) -> str:
@@ -46,7 +46,7 @@ def test_second_signal_stops_at_once(runs, unbroken):
     time.sleep(0.3)
     begin = time.monotonic()
     stopped(process, signal.SIGTERM)
-    assert time.monotonic() - begin < 10
+    assert time.monotonic() - begin < 60
     assert all(unbroken[name] == content for name, content in runs.files().items())
     assert runs.verify()[1]["altered"] == [] and not list(runs.folder.glob(".out*"))
     assert runs("--skip-existing")[0] == 0

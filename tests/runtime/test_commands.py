@@ -137,11 +137,16 @@ def test_timings_per_encoder_with_groups(device):
         fast = kernel_state(device, copy_rows)
         encoder.barrier(after="compute", before="compute")
         encoder.dispatch(fast, ArgumentTable(fast, {"a": a, "b": b}))
-    commands.commit()
-    commands.wait(10)
-    (first, slow_ms), (second, fast_ms) = commands.timings
-    assert (first, second) == ("pass/slow", "fast")
-    assert 40 <= slow_ms and fast_ms < slow_ms
+    fastest = []
+    for _ in range(9):  # another program may stop this one at any time
+        commands.commit()
+        commands.wait(60)
+        (first, slow_ms), (second, fast_ms) = commands.timings
+        assert (first, second) == ("pass/slow", "fast") and slow_ms >= 40
+        fastest.append(fast_ms)
+        if fast_ms < 20:
+            break
+    assert min(fastest) < 20
 
 
 def test_nothing_is_recorded_after_commit(device):

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+import random
+import sys
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
+
+
+@pytest.fixture(autouse=True)
+def one_seed() -> None:
+    """What a test draws does not depend on the tests before it in the same process."""
+    random.seed(0)
+    np.random.seed(0)
+    if torch := sys.modules.get("torch"):
+        torch.manual_seed(0)
 
 
 @pytest.fixture(scope="module", autouse=True)
