@@ -350,6 +350,11 @@ def wide_vectors() -> bool:
     return os.environ.get("NUMBA_CPU_NAME", processor_level()) == "x86-64-v4"
 
 
+def has_byte_products() -> bool:
+    """Whether kernels can multiply numbers of 8 bits by this processor's own instructions."""
+    return processor_level() is not None
+
+
 @cache
 def processor_level() -> str | None:
     """The highest level that this processor has; None where that is not known."""

@@ -11,6 +11,7 @@ bounds are checked.
 
 `combine` and `correlate` keep a block of sums in registers while they read along the factors of a product. Their arrays
 are flat and float32; places and steps count their elements. Sums have one fixed order, so equal inputs give equal bits.
+`multiply_codes` does the same with numbers of 8 bits, whose sums are exact.
 """
 
 from __future__ import annotations
@@ -365,3 +366,133 @@ def _add_neighbours(builder: Any, a: Any, b: Any) -> Any:
     mask = ir.VectorType(ir.IntType(32), LANES)
     even, odd = (builder.shuffle_vector(a, b, ir.Constant(mask, list(range(k, 2 * LANES, 2)))) for k in range(2))
     return builder.fadd(even, odd)
+
+
+# Products of 8-bit numbers, four of which are one element of 32 bits.
+
+FOURS = 4
+"""Rows of factors that are multiplied at once."""
+PIXELS = 4 * LANES if LANES == 16 else 2 * LANES
+"""Columns of codes that are multiplied at once, so that the sums fill half of the registers."""
+TURNED = 8
+"""Rows and columns of a block that `turn_codes` transposes."""
+
+
+@compiled
+def wide_rows(columns: int) -> int:
+    """Columns of whole blocks that hold so many."""
+    return -(-columns // PIXELS) * PIXELS
+
+
+@compiled
+def turn_codes(codes: np.ndarray, turned: np.ndarray) -> None:
+    """Put codes (w, C) of 8 bits into columns: (C / 4, at least w) of 32 bits. What blocks do not fill goes element by
+    element."""
+    w, groups, wide = codes.shape[0], turned.shape[0], turned.shape[1]
+    flat, target = codes.reshape(codes.size).view(np.int32), turned.reshape(turned.size)
+    whole, full = w // TURNED * TURNED, groups // TURNED * TURNED
+    for k in range(0, full, TURNED):
+        for x in range(0, whole, TURNED):
+            _turn(flat, x * groups + k, groups, target, k * wide + x, wide)
+    for x in range(w):
+        for k in range(full if x < whole else 0, groups):
+            turned[k, x] = flat[x * groups + k]
+
+
+@compiled
+def multiply_codes(turned: np.ndarray, factors: np.ndarray, first: int, sums: np.ndarray) -> None:
+    """Sums (4, w) of the products of four rows of factors (n, C), from the `first` on, and codes (C / 4, w).
+
+    Args:
+        turned: unsigned codes as `turn_codes` leaves them; w is a multiple of `PIXELS`.
+        factors: signed, at most 64: two products are added in 16 bits.
+    """
+    groups, wide = turned.shape
+    codes, weights = turned.reshape(turned.size), factors.reshape(factors.size).view(np.int32)
+    target = sums.reshape(sums.size)
+    for x in range(0, wide, PIXELS):
+        _multiply_codes(codes, x, wide, weights, first * groups, groups, target, x, wide)
+
+
+def _whole(count: int, bits: int = 32) -> Any:
+    return ir.VectorType(ir.IntType(bits), count)
+
+
+def _load_whole(builder: Any, data: Any, at: Any, count: int) -> Any:
+    return builder.load(builder.bitcast(builder.gep(data, [at]), _whole(count).as_pointer()), align=4)
+
+
+def _store_whole(builder: Any, vector: Any, data: Any, at: Any) -> None:
+    builder.store(vector, builder.bitcast(builder.gep(data, [at]), vector.type.as_pointer()), align=4)
+
+
+def _add_codes(builder: Any, total: Any, codes: Any, factors: Any) -> Any:
+    """The total plus four products in each of its numbers, by x86's instructions."""
+    wide = LANES == 16
+    products, pairs = _whole(4 * LANES, 8), _whole(2 * LANES, 16)
+    multiply = "llvm.x86.avx512.pmaddubs.w.512" if wide else "llvm.x86.avx2.pmadd.ub.sw"
+    add = "llvm.x86.avx512.pmaddw.d.512" if wide else "llvm.x86.avx2.pmadd.wd"
+    twos = _call(builder, multiply, pairs, [builder.bitcast(one, products) for one in (codes, factors)])
+    return builder.add(total, _call(builder, add, _whole(LANES), [twos, ir.Constant(pairs, [1] * 2 * LANES)]))
+
+
+def _call(builder: Any, name: str, result: Any, arguments: Sequence[Any]) -> Any:
+    function = builder.module.globals.get(name) or ir.Function(
+        builder.module, ir.FunctionType(result, [one.type for one in arguments]), name)
+    return builder.call(function, arguments)
+
+
+@intrinsic
+def _multiply_codes(typingctx: Any, codes: Any, at: Any, apart: Any, factors: Any, first: Any, groups: Any, sums: Any,
+                    place: Any, step: Any) -> Any:
+    """Sums of `FOURS` rows and `PIXELS` columns."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        codes, at, apart, factors, first, groups, sums, place, step = arguments
+        codes, factors, sums = (_data(context, builder, signature.args[k], value)
+                                for k, value in ((0, codes), (3, factors), (6, sums)))
+        across = range(0, PIXELS, LANES)
+        zero, whole = ir.Constant(_whole(LANES), [0] * LANES), ir.Constant(_whole(LANES), ir.Undefined)
+        totals = [_variable(builder, zero) for _ in range(FOURS) for _ in across]
+        with cgutils.for_range(builder, groups) as loop:
+            here = builder.add(at, builder.mul(loop.index, apart))
+            seen = [_load_whole(builder, codes, builder.add(here, _index(x)), LANES) for x in across]
+            for j in range(FOURS):
+                row = builder.add(first, builder.add(loop.index, builder.mul(groups, _index(j))))
+                one = builder.insert_element(whole, builder.load(builder.gep(factors, [row])), _index(0))
+                spread = builder.shuffle_vector(one, whole, ir.Constant(_whole(LANES), [0] * LANES))
+                for v, code in enumerate(seen):
+                    total = totals[len(seen) * j + v]
+                    builder.store(_add_codes(builder, builder.load(total), code, spread), total)
+        for j in range(FOURS):
+            for v, x in enumerate(across):
+                there = builder.add(place, builder.add(builder.mul(step, _index(j)), _index(x)))
+                _store_whole(builder, builder.load(totals[len(across) * j + v]), sums, there)
+        return context.get_dummy_value()
+
+    whole = types.int64
+    return types.void(codes, whole, whole, factors, whole, whole, sums, whole, whole), generate
+
+
+@intrinsic
+def _turn(typingctx: Any, source: Any, at: Any, step: Any, target: Any, place: Any, apart: Any) -> Any:
+    """Transpose a block of 32-bit numbers: pairs of rows are interleaved by one number, by two, and by four."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        source, at, step, target, place, apart = arguments
+        source, target = (_data(context, builder, signature.args[k], value) for k, value in ((0, source), (3, target)))
+        rows = [_load_whole(builder, source, builder.add(at, builder.mul(step, _index(j))), TURNED)
+                for j in range(TURNED)]
+        for run in (1, 2, 4):
+            orders = [[half + k - k % (2 * run) + k % run + k // run % 2 * TURNED for k in range(TURNED)]
+                      for half in (0, run)]
+            for j in (j for j in range(TURNED) if j // run % 2 == 0):
+                pair = rows[j], rows[j + run]
+                rows[j], rows[j + run] = (builder.shuffle_vector(*pair, ir.Constant(_whole(TURNED), order))
+                                          for order in orders)
+        for j, row in enumerate(rows):
+            _store_whole(builder, row, target, builder.add(place, builder.mul(apart, _index(j))))
+        return context.get_dummy_value()
+
+    whole = types.int64
+    return types.void(source, whole, whole, target, whole, whole), generate

@@ -29,7 +29,7 @@ from postfx.runtime.encoders import Recordings
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
 from postfx.runtime.memory import CUDA, HOST, HOST_KINDS, HostMemory, Immediate, Memory, address, borrow, byte_span
-from postfx.runtime.model_file import fix_dimensions
+from postfx.runtime.model_file import Product, fix_dimensions, take_products
 from postfx.runtime.models import Library
 from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, ort, parse_provider
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
@@ -209,6 +209,7 @@ class Device:
     def pipeline_state(
         self, library: Library, name: str, dims: Dims | None = None,
         in_place: Mapping[str, str] | None = None, threads: int | None = None, heads: Mapping[str, Head] | None = None,
+        codes: bool = False,
     ) -> PipelineState:
         """A network of a library, with its free dimensions fixed.
 
@@ -219,6 +220,8 @@ class Device:
             threads: how many of the device's threads it takes, default all of them. Commands that no barrier orders and
                 that take fewer run side by side; on a GPU, each on one of a few streams, unless it is `in_place`.
             heads: outputs that become others where our own kernels run the network. The state's bindings tell.
+            codes: whether a CPU leaves integer products at the end of the network to the caller: the state's
+                `products`.
 
         Raises ModelError when the model is missing, damaged or cannot run here, a dimension is left free, or two
         bindings cannot be one.
@@ -247,9 +250,13 @@ class Device:
                 LOG.debug("network '%s' runs by ONNX Runtime: %s", name, reason)
         stream = self.memory.stream_beside() if narrow else self.placement.stream
         placement = replace(self.placement, threads=taken, stream=stream)
+        products: dict[str, Product] = {}
+        if codes and placement.provider == CPU:
+            content, products = take_products(content)
         session = self._session(content, library, name, placement, fixed)
         self.name_model(library, name)
-        return PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken)
+        return PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken,
+                             products)
 
     def _session(self, content: bytes, library: Library, name: str, placement: Placement, fixed: Dims) -> Session:
         """A network's session, all of whose dimensions are fixed."""

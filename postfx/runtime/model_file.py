@@ -11,6 +11,9 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import count
+from typing import NamedTuple
+
+import numpy as np
 
 Dimension = int | str
 Field = int | memoryview
@@ -238,7 +241,7 @@ def fix_dimensions(content: bytes, sizes: Mapping[tuple[str, int], int]) -> byte
             raise ValueError(f"axis {axis} of '{name}' is {shape[axis] or 'free'}, it cannot be {size}")
 
     def fix_value(message: memoryview) -> bytes:
-        name = next((text(value) for number, value, _ in _fields(message) if number == 1), "")
+        name = _name_of(message)
         axes = count()
 
         def fix_dimension(dimension: memoryview) -> bytes:
@@ -250,13 +253,100 @@ def fix_dimensions(content: bytes, sizes: Mapping[tuple[str, int], int]) -> byte
     return _replace(_replace(content, (7, 11), fix_value), (7, 12), fix_value)  # graph, input; graph, output
 
 
+class Product(NamedTuple):
+    """An output that was a product of 8-bit integers: the output that has its codes now, (1, h, w, C) of uint8, and
+    its factors (n, C), at most 64."""
+
+    codes: str
+    factors: np.ndarray
+
+
+MOST_FACTOR, SIGN, CODES = 64, 128, "codes_"
+_BYTES = (2, 3)  # uint8, int8
+
+
+def take_products(content: bytes) -> tuple[bytes, dict[str, Product]]:
+    """A model's file that leaves integer products to the caller, and these by the outputs that had them.
+
+    Such an output is MatMulInteger(factors + z, code - 128), whose codes come from a tensor (1, C, h, w) in three nodes
+    that flatten it and change its sign. Others stay as they are.
+    """
+    model = parse_model(content)
+    makers = {output: node for node in model.nodes for output in node.outputs}
+    weights = {one.name: one for one in model.weights}
+    taken: dict[str, Product] = {}
+    sources: dict[str, str] = {}
+    for output in model.outputs if not any(node.has_graph for node in model.nodes) else ():
+        if found := _product(output.name, makers, weights):
+            source, factors = found
+            sources.setdefault(source, f"{CODES}{output.name.rpartition('_')[2]}")
+            taken[output.name] = Product(sources[source], factors)
+    if not taken:
+        return content, taken
+    needed = {output.name for output in model.outputs} - taken.keys() | sources.keys()
+    for node in reversed(model.nodes):
+        needed.update(node.inputs if needed & {*node.outputs} else ())
+    nodes = iter(model.nodes)
+
+    def change(graph: memoryview) -> bytes:
+        parts = [raw for number, value, raw in _fields(graph)
+                 if not (number == 1 and not needed & {*next(nodes).outputs})
+                 and not (number == 12 and _name_of(_message(value)) in taken)]
+        added = [_as_field(number, message) for source, codes in sources.items()
+                 for number, message in ((1, _channels_last(source, codes)), (12, _bytes_output(codes)))]
+        return b"".join([*parts, *added])
+
+    return _replace(content, (7,), change), taken
+
+
+def _product(output: str, makers: Mapping[str, Node], weights: Mapping[str, Weights]) -> tuple[str, np.ndarray] | None:
+    """The tensor of an output's codes, and its factors; None if it is no product, or not of this kind."""
+    node = makers.get(output)
+    steps = [node] if node and node.operator == "MatMulInteger" and len(node.inputs) == 4 else []
+    for at in (1, 0, 0) if steps else ():
+        steps.append(makers.get(steps[-1].inputs[at], Node(inputs=[""])))
+    if [step.operator for step in steps[1:]] != ["Cast", "BitwiseXor", "Reshape"] or len(steps[2].inputs) != 2:
+        return None
+    names = steps[0].inputs[0], steps[0].inputs[2], steps[0].inputs[3], steps[2].inputs[1]
+    held = [weights.get(name, Weights()) for name in names]
+    if not all(one.raw and one.kind in _BYTES for one in held) or len(held[0].dims) != 2:
+        return None
+    factors, middle, zero, sign = (np.frombuffer(one.content, np.uint8) for one in held)
+    if [middle.size, *zero, *sign] != [1, SIGN, SIGN] or held[0].dims[1] % 4:
+        return None
+    found = factors.reshape(held[0].dims).astype(np.int16) - middle
+    return (steps[-1].inputs[0], found.astype(np.int8)) if np.abs(found).max(initial=0) <= MOST_FACTOR else None
+
+
+def _name_of(message: memoryview) -> str:
+    return next((text(value) for number, value, _ in _fields(message) if number == 1), "")
+
+
+def _as_field(number: int, message: bytes) -> bytes:
+    return _as_varint(number << 3 | BYTES) + _as_varint(len(message)) + message
+
+
+def _channels_last(source: str, result: str) -> bytes:
+    """A node Transpose, (0, 1, 2, 3) -> (0, 2, 3, 1)."""
+    axes = b"".join(bytes([8 << 3, axis]) for axis in (0, 2, 3, 1))
+    order = _as_field(1, b"perm") + axes + _as_varint(20 << 3) + bytes([7])  # of the type INTS
+    return b"".join((_as_field(1, source.encode()), _as_field(2, result.encode()), _as_field(4, b"Transpose"),
+                     _as_field(5, order)))
+
+
+def _bytes_output(name: str) -> bytes:
+    """An output of uint8 with four axes, whose sizes follow from its node."""
+    kind = bytes([1 << 3, 2]) + _as_field(2, 4 * _as_field(1, b""))
+    return _as_field(1, name.encode()) + _as_field(2, _as_field(1, kind))
+
+
 def _replace(message: bytes | memoryview, path: tuple[int, ...], change: Callable[[memoryview], bytes]) -> bytes:
     """A message with every inner one at a path of field numbers changed."""
     parts: list[bytes | memoryview] = []
     for number, value, raw in _fields(memoryview(message)):
         if number == path[0] and not isinstance(value, int):
             new = _replace(value, path[1:], change) if path[1:] else change(value)
-            parts += [_as_varint(number << 3 | BYTES), _as_varint(len(new)), new]
+            parts.append(_as_field(number, new))
         else:
             parts.append(raw)
     return b"".join(parts)

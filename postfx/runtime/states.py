@@ -13,6 +13,7 @@ import numpy as np
 from postfx.errors import BindingError, ModelError
 from postfx.kernels.native import bind_rows, compile_rows
 from postfx.runtime.convolutions import Convolutions, Gpu, Head, Layer, give_heads
+from postfx.runtime.model_file import Product
 from postfx.runtime.session import Session
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 
@@ -94,6 +95,8 @@ class PipelineState:
         shapes: name -> shape of each binding.
         constants: name -> array, of outputs that depend on no input. They are not bound: on a GPU, ONNX Runtime would
             copy them outside the stream, too early or too late.
+        products: name -> integer product that the file has as an output and that is left to the caller; its codes are
+            bound in its place.
     """
 
     stage = "machine-learning"
@@ -101,8 +104,9 @@ class PipelineState:
 
     def __init__(self, device: StateDevice, name: str, session: Session, dims: dict[str, int], model: Path,
                  constants: Sequence[str] = (), in_place: Mapping[str, str] | None = None,
-                 threads: int | None = None) -> None:
+                 threads: int | None = None, products: Mapping[str, Product] | None = None) -> None:
         self.device = device
+        self.products = products or {}
         self.threads = threads or device.threads
         self.narrow = self.threads < device.threads
         self.stream = session.stream if self.narrow else 0

@@ -102,14 +102,17 @@ SHAPES = PLANES | GUIDE_PLANES | {
     "radiance": (3, "padded_h", "padded_w"), "output": ("out_th", "out_tw", 3), "next_history": ("out_th", "out_tw", 3),
     "guides": (1, GUIDES, "hp", "wp"), "trust": ("cells_h", "cells_w", 1),
     "means": ("means_h", "means_w", 3), "factor": ("th", "tw", 3),
+    "codes": (1, "half_hp", "half_wp", "codes"), "factors": ("rows", "codes"), "scaling": (2, "outputs"),
 }
+TYPES = {"codes": "uint8", "factors": "int8"}
 
 
 def kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...], rows: Callable[..., None],
            rows_of: tuple[str, int], **shapes: tuple[int | str, ...]) -> Kernel:
     """A kernel whose bindings have the shapes above, or those given."""
     named = SHAPES | shapes
-    return Kernel(f"denoise_{name}", reads, writes, rows, rows_of, {key: named[key] for key in reads + writes})
+    return Kernel(f"denoise_{name}", reads, writes, rows, rows_of, {key: named[key] for key in reads + writes},
+                  {key: TYPES[key] for key in reads if key in TYPES})
 
 
 IN_HALF: dict[Kernel, Kernel] = {}

@@ -14,6 +14,10 @@ Integers, output: the last products are summed in 32 bits and scaled here. ``pro
 ``scaling`` (2, C) holds a factor and an offset for each channel, which give its logit. Scaling and activations are one
 pass. Each channel of the fine head has four phases, as above.
 
+Codes: the last products are computed here, too, row by row, so that most of them never leave the cache. ``codes`` (1,
+h, w, C) are what the last convolution reads in 8 bits, ``factors`` (n, C) its weights in 7; those of levels end with
+rows of zeros up to a multiple of four. The sums are the integers above.
+
 Integers, input: planes in 8 bits, all channels of a pixel together. ``coding`` (2, C) holds each channel's factor and
 its code of zero; codes are clipped to 0..255. ``stored`` (1, h, w, C) may have more channels than ``planes``, without
 meaning. With a ring, it has one more row and column on every side, where all channels are zero.
@@ -21,12 +25,17 @@ meaning. With a ring, it has one more row and column on every side, where all ch
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, STEEPEST, in_half, kernel
 from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, inline, vectorised
+from postfx.kernels.vectors import multiply_codes, turn_codes, wide_rows
 
+Coded: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Codes, factors and scaling."""
 LANES = 8
 LEVEL = KERNEL + 1
 FINE_PHASES = 4
@@ -181,15 +190,21 @@ def open_fine_channels(y0: int, y1: int, products: np.ndarray, scaling: np.ndarr
     """Channels of the fine head, from the `first` on: weights, gates and the hidden state."""
     for channel in range(first, first + fine.shape[1]):
         for y in range(y0, y1):
-            at, phase, row = 4 * (channel - first), 2 * (y % 2), fine[0, channel - first, y]
-            left, right = products[0, at + phase, y // 2], products[0, at + phase + 1, y // 2]
-            scales = scaling[:, 4 * channel + phase:4 * channel + phase + 2]
-            if channel < BLEND:
-                scaled_weights(left, right, scales, row)
-            elif channel < MEMORY:
-                scaled_gates(left, right, scales, row)
-            else:
-                scaled_states(left, right, scales, row)
+            at = 4 * (channel - first)
+            open_channel(channel, 2 * (y % 2), products[0, at:at + 4, y // 2], scaling, fine[0, channel - first, y])
+
+
+@compiled
+def open_channel(channel: int, phase: int, sums: np.ndarray, scaling: np.ndarray, row: np.ndarray) -> None:
+    """A channel of the fine head in a row of pixels, from its sums (4, at least w / 2) and its first phase there."""
+    left, right = sums[phase, :row.size // 2], sums[phase + 1, :row.size // 2]
+    scales = scaling[:, 4 * channel + phase:4 * channel + phase + 2]
+    if channel < BLEND:
+        scaled_weights(left, right, scales, row)
+    elif channel < MEMORY:
+        scaled_gates(left, right, scales, row)
+    else:
+        scaled_states(left, right, scales, row)
 
 
 @compiled
@@ -220,15 +235,21 @@ def level_gates(sums: np.ndarray, scale: Real, bias: Real, row: np.ndarray) -> N
 
 
 @compiled
+def open_level(channel: int, sums: np.ndarray, scaling: np.ndarray, row: np.ndarray) -> None:
+    """A channel of a level's head in a row of places."""
+    scale, bias = scaling[0, channel], scaling[1, channel]
+    if channel < KERNEL:
+        level_weights(sums, scale, bias, row)
+    else:
+        level_gates(sums, scale, bias, row)
+
+
+@compiled
 def open_products_rows(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, heads: np.ndarray) -> None:
     """Weights of a level's filters and its mix, which the coarsest level lacks."""
     for channel in range(heads.shape[1]):
-        scale, bias = scaling[0, channel], scaling[1, channel]
         for y in range(y0, y1):
-            if channel < KERNEL:
-                level_weights(products[0, channel, y], scale, bias, heads[0, channel, y])
-            else:
-                level_gates(products[0, channel, y], scale, bias, heads[0, channel, y])
+            open_level(channel, products[0, channel, y], scaling, heads[0, channel, y])
 
 
 OPEN_PRODUCTS = Kernel(
@@ -250,6 +271,54 @@ OPEN_SOME_PRODUCTS = Kernel(
     {"products": (1, "4*channels", "half_hp", "half_wp"), "scaling": (2, 4 * FINE), "first": (1,),
      "fine": (1, "channels", "2*half_hp", "2*half_wp")},
     {"products": "int32"})
+
+
+@compiled
+def room_for_codes(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `open_fine_codes` works in."""
+    wide = wide_rows(codes.shape[2])
+    return np.zeros((codes.shape[3] // 4, wide), np.int32), np.empty((4, wide), np.int32)
+
+
+@compiled
+def open_fine_codes(codes: np.ndarray, factors: np.ndarray, scaling: np.ndarray, channels: tuple[int, int],
+                    room: tuple[np.ndarray, np.ndarray], fine: np.ndarray, held: int, pair: int) -> None:
+    """Some channels of the fine head, of the codes (w, C) of one row, in a pair of rows of `fine` (1, n, pairs, 2, 2
+    w), which holds the channels from `held` on."""
+    turned, sums = room
+    turn_codes(codes, turned)
+    for channel in range(channels[0], channels[1]):
+        multiply_codes(turned, factors, 4 * channel, sums)
+        for lower in range(2):
+            open_channel(channel, 2 * lower, sums, scaling, fine[0, channel - held, pair, lower])
+
+
+@compiled
+def open_fine_codes_rows(y0: int, y1: int, codes: np.ndarray, factors: np.ndarray, scaling: np.ndarray,
+                         fine: np.ndarray) -> None:
+    """The last channels of the fine head, or all of them."""
+    room, first = room_for_codes(codes), FINE - fine.shape[1]
+    for y in range(y0, y1):
+        open_fine_codes(codes[0, y], factors, scaling, (first, FINE), room, fine, first, y)
+
+
+@compiled
+def open_codes_rows(y0: int, y1: int, codes: np.ndarray, factors: np.ndarray, scaling: np.ndarray,
+                    heads: np.ndarray) -> None:
+    """Weights of a level's filters and its mix, which the coarsest level lacks."""
+    (turned, sums), w = room_for_codes(codes), heads.shape[3]
+    for y in range(y0, y1):
+        turn_codes(codes[0, y], turned)
+        for channel in range(heads.shape[1]):
+            if channel % 4 == 0:
+                multiply_codes(turned, factors, channel, sums)
+            open_level(channel, sums[channel % 4, :w], scaling, heads[0, channel, y])
+
+
+OPEN_CODES = kernel("open_codes", ("codes", "factors", "scaling"), ("heads",), open_codes_rows, ("heads", 2),
+                    codes=(1, "hp", "wp", "codes"), heads=(1, "outputs", "hp", "wp"))
+OPEN_FINE_CODES = kernel("open_fine_codes", ("codes", "factors", "scaling"), ("fine",), open_fine_codes_rows,
+                         ("fine", 2), fine=(1, "channels", "half_hp", 2, "2*half_wp"))
 
 
 DARKEST_BYTE, BRIGHTEST_BYTE, ROUNDING = np.float32(0), np.float32(255), np.float32(0.5)

@@ -13,6 +13,7 @@ from postfx.kernels.denoise import (
     DISTRUST,
     EXPOSURE,
     FARTHEST,
+    FINE,
     HIDDEN,
     IMPORTANCE,
     LEFT,
@@ -185,9 +186,9 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
     """Running mean of demodulated colour; ``level`` (4, hp, wp) holds it and its importance, zero beyond the frame.
 
     A state of zeros is unknown. It is so at the part's edges within the frame, because all pixels of the last output
-    that are read around a known one must be known, too.
+    that are read around a known one must be known, too. Of the fine head, the last channels are enough.
     """
-    top, left = int(window[TOP]), int(window[LEFT])
+    top, left, first_held = int(window[TOP]), int(window[LEFT]), FINE - fine.shape[1]
     under, beside = top + past.shape[0] < colour.shape[0], left + past.shape[1] < colour.shape[1]
     rows, columns = min(past.shape[0], colour.shape[0] - top), min(past.shape[1], colour.shape[1] - left)
     line = np.empty((means.shape[1], 3), np.float32)
@@ -200,18 +201,18 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
             factor[y, x, 0], factor[y, x, 1], factor[y, x, 2] = demodulation(
                 diffuse_albedo, specular_albedo, top + y, left + x)
         if first and means.shape[0] > 1:
-            doubt_row(top + y, top, left, colour.shape[0], colour.shape[1], means, fine[0, PLANE_TRUST, y], line,
-                      factor[y])
+            doubt_row(top + y, top, left, colour.shape[0], colour.shape[1], means,
+                      fine[0, PLANE_TRUST - first_held, y], line, factor[y])
         for x in range(first):
             v, u = top + y, left + x
             share = ONE / (max(past[y, x, 3], ZERO) + ONE)
-            alpha = share + (ONE - share) * fine[0, DISTRUST, y, x]
-            level[3, y, x] = fine[0, IMPORTANCE, y, x]
+            alpha = share + (ONE - share) * fine[0, DISTRUST - first_held, y, x]
+            level[3, y, x] = fine[0, IMPORTANCE - first_held, y, x]
             next_depth[y, x, 0] = depth[v, u, 0]
             state[y, x, 3] = min(ONE / alpha, np.float32(MAX_COUNT))
             total = state[y, x, 3] + abs(level[3, y, x])
             for c in range(HIDDEN):
-                state[y, x, 4 + c] = fine[0, MEMORY + c, y, x]
+                state[y, x, 4 + c] = fine[0, MEMORY + c - first_held, y, x]
                 total += abs(state[y, x, 4 + c])
             brightest = np.float32(MAX_COLOUR)
             for c in range(3):
@@ -241,7 +242,8 @@ SCALE = kernel("scale", ("depth",), ("depth_scale",), scale_rows, ("depth_scale"
 DILATE = kernel("dilate", ("motion", "depth", "part_rows", "part_columns"), ("moved",), dilate_rows, ("moved", 0))
 MEANS = kernel("means", (*REFLECTANCE, "part_rows", "part_columns"), ("means",), mean_rows, ("means", 0))
 ACCUMULATE = kernel("accumulate", ("colour", *REFLECTANCE, "means", "depth", "past", "fine", "params", "window"),
-                    ("next_state", "next_depth", "level", "factor"), accumulate_rows, ("level", 1))
+                    ("next_state", "next_depth", "level", "factor"), accumulate_rows, ("level", 1),
+                    fine=(1, "channels", "hp", "wp"))
 in_half(ACCUMULATE, "fine")
 
 

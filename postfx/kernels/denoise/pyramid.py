@@ -11,6 +11,7 @@ import numpy as np
 
 from postfx.kernels.denoise import (
     BOTH,
+    FINE,
     JITTER_X,
     JITTER_Y,
     KERNEL,
@@ -23,6 +24,7 @@ from postfx.kernels.denoise import (
     kernel,
 )
 from postfx.kernels.denoise.alpha import NEAR, QUARTERS, cell_of, pixel_mean, spans_of
+from postfx.kernels.denoise.network_io import open_fine_codes, room_for_codes
 from postfx.kernels.denoise.upsample import gauss, is_doubled, lean, pixel_of
 from postfx.kernels.numeric import (
     Real,
@@ -105,8 +107,8 @@ def mix_row(coarse: np.ndarray, level: np.ndarray, share: np.ndarray, first: int
 def mix_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.ndarray, coarse_rows: np.ndarray,
              coarse_columns: np.ndarray, mixed: np.ndarray) -> None:
     """All rows of a level; for each row and column, the row and column of the coarser level that it lies in is
-    given."""
-    at = MIX if heads.shape[1] > KERNEL + 1 else KERNEL
+    given. Of the fine head, the last channels are enough."""
+    at = KERNEL if heads.shape[1] == KERNEL + 1 else MIX - (FINE - heads.shape[1])
     second = 1 if coarse_columns.size > 1 and coarse_columns[1] > 0 else 0
     for y in range(y0, y1):
         for k in range(0, mixed.shape[0], 3):
@@ -131,7 +133,7 @@ def add_products(taps: tuple[np.ndarray, ...], row: np.ndarray, total: np.ndarra
 
 
 @compiled
-def border_pixels(y: int, first: int, end: int, size: tuple[int, int], mixed: np.ndarray, weights: np.ndarray,
+def border_pixels(y: int, first: int, end: int, size: tuple[int, int], mixed: np.ndarray, weights: np.ndarray, at: int,
                   total: np.ndarray, filtered: np.ndarray) -> None:
     """The taps of pixels near the picture's left or right border: those beyond it do not count."""
     h, w = size
@@ -141,16 +143,17 @@ def border_pixels(y: int, first: int, end: int, size: tuple[int, int], mixed: np
             shift = i - REACH
             left = min(max(first, -shift), end)
             right = max(left, min(end, w - shift))
-            taps = weights[SIDE * j + i, y, left:right]
+            taps = weights[SIDE * j + i, at, left:right]
             add(taps, total[left:right])
             for k in range(mixed.shape[0]):
                 add_product(taps, mixed[k, source, left + shift:right + shift], filtered[k, y, left:right])
 
 
 @compiled
-def kernel_row(y: int, mixed: np.ndarray, weights: np.ndarray, area: np.ndarray, total: np.ndarray,
+def kernel_row(y: int, mixed: np.ndarray, weights: np.ndarray, at: int, area: np.ndarray, total: np.ndarray,
                filtered: np.ndarray) -> None:
-    """A normalised kernel of its own for every pixel of a row; taps beyond the picture's ``area`` do not count."""
+    """A normalised kernel of its own for every pixel of a row, from the row ``at`` of the weights; taps beyond the
+    picture's ``area`` do not count."""
     h, w = int(area[0]), int(area[1])
     filtered[:, y, :] = ZERO
     if y >= h:
@@ -158,12 +161,12 @@ def kernel_row(y: int, mixed: np.ndarray, weights: np.ndarray, area: np.ndarray,
     total[:w] = TINY
     left = min(REACH, w)
     right = max(left, w - REACH)
-    border_pixels(y, 0, left, (h, w), mixed, weights, total, filtered)
-    border_pixels(y, right, w, (h, w), mixed, weights, total, filtered)
+    border_pixels(y, 0, left, (h, w), mixed, weights, at, total, filtered)
+    border_pixels(y, right, w, (h, w), mixed, weights, at, total, filtered)
     for j in range(max(0, REACH - y), min(SIDE, h + REACH - y) if right > left else 0):
         first = SIDE * j
-        taps = (weights[first, y, left:right], weights[first + 1, y, left:right], weights[first + 2, y, left:right],
-                weights[first + 3, y, left:right], weights[first + 4, y, left:right])
+        taps = (weights[first, at, left:right], weights[first + 1, at, left:right], weights[first + 2, at, left:right],
+                weights[first + 3, at, left:right], weights[first + 4, at, left:right])
         add_five(taps, total[left:right])
         for k in range(mixed.shape[0]):
             add_products(taps, mixed[k, y + j - REACH, :w], filtered[k, y, left:right])
@@ -176,7 +179,20 @@ def filter_rows(y0: int, y1: int, mixed: np.ndarray, heads: np.ndarray, area: np
     """The 5x5 kernel of a level."""
     total = np.empty(filtered.shape[2], np.float32)
     for y in range(y0, y1):
-        kernel_row(y, mixed, heads[0], area, total, filtered)
+        kernel_row(y, mixed, heads[0], y, area, total, filtered)
+
+
+@compiled
+def filter_codes_rows(y0: int, y1: int, mixed: np.ndarray, codes: np.ndarray, factors: np.ndarray, scaling: np.ndarray,
+                      area: np.ndarray, filtered: np.ndarray) -> None:
+    """The 5x5 kernel of the finest level, whose weights are made of codes, two rows at a time."""
+    w, room, pair = filtered.shape[2], room_for_codes(codes), -1
+    total, weights = np.empty(w, np.float32), np.empty((1, KERNEL, 1, 2, w), np.float32)
+    for y in range(y0, y1):
+        if pair != y // 2:
+            pair = y // 2
+            open_fine_codes(codes[0, pair], factors, scaling, (0, KERNEL), room, weights, 0, 0)
+        kernel_row(y, mixed, weights.reshape((KERNEL, 2, w)), y % 2, area, total, filtered)
 
 
 @inline
@@ -312,6 +328,9 @@ MIX_LEVELS = kernel("mix", ("coarse", "level", "heads", "coarse_rows", "coarse_c
                     ("mixed", 1), level=PLANAR, mixed=PLANAR)
 FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1), mixed=PLANAR,
                 filtered=PLANAR)
+FILTER_CODES = kernel("filter_codes", ("mixed", "codes", "factors", "scaling", "area"), ("filtered",),
+                      filter_codes_rows, ("filtered", 1), mixed=("planes", "2*half_hp", "2*half_wp"),
+                      filtered=("planes", "2*half_hp", "2*half_wp"))
 in_half(MIX_LEVELS, "heads")
 in_half(FILTER, "heads")
 REMODULATE = kernel("remodulate", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),

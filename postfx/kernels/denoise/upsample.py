@@ -21,6 +21,7 @@ from postfx.kernels.denoise import (
     JITTER_Y,
     LEFT,
     MAX_FLOAT,
+    MIX,
     MOST_LOG,
     OUT_HEIGHT,
     OUT_LEFT,
@@ -36,6 +37,7 @@ from postfx.kernels.denoise import (
 )
 from postfx.kernels.denoise.features import place_of, trust_row
 from postfx.kernels.denoise.history import kept_row
+from postfx.kernels.denoise.network_io import Coded, open_fine_codes, room_for_codes
 from postfx.kernels.numeric import (
     Real,
     centre,
@@ -278,13 +280,13 @@ def weigh_some(v: Any, weights: Any, at: Any, phase: Any, tap: Any, scales: Any,
 
 
 @fused
-def weigh_taps(lower: int, iy: int, fine: np.ndarray, scales: np.ndarray, radiance: np.ndarray, channel: int,
+def weigh_taps(lower: int, iy: int, fine: np.ndarray, row: int, scales: np.ndarray, radiance: np.ndarray, channel: int,
                rows: np.ndarray) -> None:
     """Weighted sums of 3x3 samples of three planes, from a `channel` on, for a row at scale 2: into `rows` of the even
     pixels' channels, then the odd ones', and the sums of their weights. `scales` are those of the taps by distance."""
     (_, _, hp, wp), (channels, tall, wide), w = fine.shape, radiance.shape, rows.shape[1]
     weights, samples, found = fine.reshape(fine.size), radiance.reshape(radiance.size), rows.reshape(rows.size)
-    at, to = ((TAP_WEIGHTS + 2 * lower) * hp + iy) * wp, (channel * tall + iy) * wide
+    at, to = ((TAP_WEIGHTS + 2 * lower) * hp + row) * wp, (channel * tall + iy) * wide
     for block in range((w + WIDE - 1) // WIDE):
         x = min(WIDE * block, w - WIDE)
         weigh_some(weights, at + x, hp * wp, 4 * hp * wp, scales, samples, to + x, wide, tall * wide, found,
@@ -293,17 +295,18 @@ def weigh_taps(lower: int, iy: int, fine: np.ndarray, scales: np.ndarray, radian
 
 @compiled
 def double_row(y: int, left: int, iy: int, lower: int, radiance: np.ndarray, column: np.ndarray, fine: np.ndarray,
-               moved: np.ndarray, past: np.ndarray, gauss_x: np.ndarray, gauss_y: np.ndarray, wide_x: np.ndarray,
-               size: tuple[int, int], scale: tuple[Real, Real], share: np.ndarray, guide: np.ndarray,
-               rows: np.ndarray, soft: np.ndarray, current: np.ndarray, trust: np.ndarray) -> None:
-    """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps."""
+               at: int, moved: np.ndarray, past: np.ndarray, gauss_x: np.ndarray, gauss_y: np.ndarray,
+               wide_x: np.ndarray, size: tuple[int, int], scale: tuple[Real, Real], share: np.ndarray,
+               guide: np.ndarray, rows: np.ndarray, soft: np.ndarray, current: np.ndarray, trust: np.ndarray) -> None:
+    """A row at scale 2, where output pixels lie at the corners of render pixels: all loops are free of gaps. The fine
+    head has the pixels ``iy`` in its row ``at``."""
     channels, w, scales = radiance.shape[0], rows.shape[1], np.empty(2 * TAPS, np.float32)
     sums, line = rows[2 * channels:2 * channels + 2], rows[2 * channels + 2]
     for tap in range(TAPS):
         for side in range(2):
             scales[TAPS * side + tap] = gauss_y[tap // 3] * gauss_x[tap % 3, side]
     for channel in range(0, channels, 3):
-        weigh_taps(lower, iy, fine, scales, radiance, channel, rows)
+        weigh_taps(lower, iy, fine, at, scales, radiance, channel, rows)
     for side in range(2):
         found = rows[side * channels:(side + 1) * channels]
         for c in range(3):
@@ -312,10 +315,10 @@ def double_row(y: int, left: int, iy: int, lower: int, radiance: np.ndarray, col
                 soften(column[3 + c], wide_x, side, line)
                 guided_row(line, guide[c], guide[3], side, 2, soft)
                 guided_row(found[3 + c], guide[c], guide[3], side, 2, found[c])
-            encode_sharp(found[c], sums[side], soft, fine[0, SHARPEN + 2 * lower + side, iy])
+            encode_sharp(found[c], sums[side], soft, fine[0, SHARPEN + 2 * lower + side, at])
     interleave(rows[:3], rows[channels:], current)
     for side in range(2):  # in the rows of sums, which are done with
-        sums[side] = fine[0, BLEND + 2 * lower + side, iy, :w]
+        sums[side] = fine[0, BLEND + 2 * lower + side, at, :w]
         trust_side(left + side, np.float32(y), size, moved[iy], past[iy], scale, share, sums[side])
     repeat_three(sums[0], sums[1], trust)
 
@@ -331,7 +334,7 @@ def control_row(first: int, iy: int, ty: Real, fine: np.ndarray, index: np.ndarr
 
 @compiled
 def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: np.ndarray, fine: np.ndarray,
-            moved: np.ndarray, past: np.ndarray, gauss_x: np.ndarray, gauss_y: np.ndarray, wide_x: np.ndarray,
+            at: int, moved: np.ndarray, past: np.ndarray, gauss_x: np.ndarray, gauss_y: np.ndarray, wide_x: np.ndarray,
             size: tuple[int, int], scale: tuple[Real, Real], share: np.ndarray, guide: np.ndarray, index: np.ndarray,
             leans: np.ndarray, corners: np.ndarray, rows: np.ndarray, soft: np.ndarray, current: np.ndarray,
             trust: np.ndarray) -> None:
@@ -343,11 +346,11 @@ def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: 
         j, i = tap // 3, tap % 3
         for side in range(2):
             corner = TAP_WEIGHTS + 4 * tap + side
-            between(fine[0, corner, iy], fine[0, corner + 2, iy], ty, gauss_y[j], corners[side])
+            between(fine[0, corner, at], fine[0, corner + 2, at], ty, gauss_y[j], corners[side])
         add_picked(corners, radiance[:3, iy + j, i:i + w], gauss_x[i], index, leans, total, rows[:3])
         if channels > 3:
             add_picked(corners, radiance[3:, iy + j, i:i + w], gauss_x[i], index, leans, line, rows[3:6])
-    control_row(SHARPEN, iy, ty, fine, index, leans, corners, sharpen)
+    control_row(SHARPEN, at, ty, fine, index, leans, corners, sharpen)
     for c in range(3):
         weigh_picked(column[c], wide_x, index, soft)
         if channels > 3:
@@ -359,19 +362,20 @@ def any_row(y: int, left: int, iy: int, ty: Real, radiance: np.ndarray, column: 
             multiply(guide[c], rows[c])
         encode_sharp(rows[c], total, soft, sharpen)
         place(rows[c], c, 3, current)
-    control_row(BLEND, iy, ty, fine, index, leans, corners, line)
+    control_row(BLEND, at, ty, fine, index, leans, corners, line)
     trust_picked(left, np.float32(y), size, moved[iy], past[iy], scale, share, index, line, trust)
 
 
 @compiled
-def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved: np.ndarray, past: np.ndarray,
-                 warped: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, cells: np.ndarray,
-                 factor: np.ndarray, by: int, params: np.ndarray, window: np.ndarray, keep: np.ndarray,
-                 output: np.ndarray, history: np.ndarray) -> None:
+def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, coded: Coded, moved: np.ndarray,
+                 past: np.ndarray, warped: np.ndarray, diffuse_albedo: np.ndarray, specular_albedo: np.ndarray,
+                 cells: np.ndarray, factor: np.ndarray, by: int, params: np.ndarray, window: np.ndarray,
+                 keep: np.ndarray, output: np.ndarray, history: np.ndarray) -> None:
     """Output pixels from 3x3 samples by predicted weight and distance, blended with the reprojected history.
 
-    The albedos have the frame's output size; they and the cells of trust are looked at only ``by`` GUIDED reflectance,
-    and the ``factor`` of the render size only by the OWN one.
+    If there are codes, the fine head is made of them, two rows at a time. The albedos have the frame's output size;
+    they and the cells of trust are looked at only ``by`` GUIDED reflectance, and the ``factor`` of the render size only
+    by the OWN one.
     """
     frame_h, frame_w, frame_height, frame_width = (int(window[HEIGHT]), int(window[WIDTH]), int(window[OUT_HEIGHT]),
                                                    int(window[OUT_WIDTH]))
@@ -392,6 +396,9 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
         for i in range(3):
             gauss_x[i, x] = gauss(i - 1 + params[JITTER_X] - offset)
     double = is_doubled(window) and w >= WIDE
+    (codes, factors, scaling), pair = coded, -1
+    room, lines = room_for_codes(codes), 2 if codes.size > 0 else 1
+    opened = fine.reshape((1, fine.shape[1], fine.shape[2] // lines, lines, fine.shape[3]))
     corners = np.empty((2, w), np.float32)
     rows = np.empty((2 * channels + 3, w) if double else (channels + 3, width), np.float32)
     column, soft = np.empty((channels, w + 2), np.float32), np.empty(rows.shape[1], np.float32)
@@ -401,6 +408,10 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
     for row in range(y0, y1):
         y = min(int(window[OUT_TOP]) + row, frame_height - 1)
         iy, offset = pixel_of(row, TOP, window, h)
+        at = iy % 2 if lines == 2 else iy
+        if lines == 2 and pair != iy // 2:
+            pair = iy // 2
+            open_fine_codes(codes[0, pair], factors, scaling, (TAP_WEIGHTS, MIX), room, opened, 0, 0)
         kept_row(keep, iy, share)
         upper, middle, lower = wide_gauss(params[JITTER_Y] - offset)
         for j in range(3):
@@ -413,13 +424,25 @@ def resolve_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved
             factor_row(y, left, diffuse_albedo, specular_albedo, guide)
             trust_row(cells, place_of(iy, offset, held_h), places, guide[3])
         if double:
-            double_row(y, left, iy, y % 2, radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size, scale,
-                       share, guide, rows, soft, current, trust)
+            double_row(y, left, iy, y % 2, radiance, column, fine, at, moved, past, gauss_x, gauss_y, wide_x, size,
+                       scale, share, guide, rows, soft, current, trust)
         else:
-            any_row(y, left, iy, lean(offset), radiance, column, fine, moved, past, gauss_x, gauss_y, wide_x, size,
+            any_row(y, left, iy, lean(offset), radiance, column, fine, at, moved, past, gauss_x, gauss_y, wide_x, size,
                     scale, share, guide, index, leans, corners, rows, soft, current, trust)
         blend_rows(current, warped[row].reshape(3 * width), trust, ONE / params[EXPOSURE],
                    history[row].reshape(3 * width), output[row].reshape(3 * width))
+
+
+@inline
+def no_codes() -> Coded:
+    """Where the fine head is there."""
+    return np.empty((0, 0, 0, 0), np.uint8), np.empty((0, 0), np.int8), np.empty((0, 0), np.float32)
+
+
+@inline
+def room_for_pair(codes: np.ndarray) -> np.ndarray:
+    """Two rows of the fine head, to be made of codes."""
+    return np.empty((1, MIX, 2, 2 * codes.shape[2]), np.float32)
 
 
 @compiled
@@ -427,8 +450,18 @@ def upsample_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, move
                   warped: np.ndarray, params: np.ndarray, window: np.ndarray, keep: np.ndarray, output: np.ndarray,
                   history: np.ndarray) -> None:
     """Radiance that already holds the reflectance."""
-    resolve_rows(y0, y1, radiance, fine, moved, past, warped, warped, warped, warped, warped, NONE, params, window,
-                 keep, output, history)
+    resolve_rows(y0, y1, radiance, fine, no_codes(), moved, past, warped, warped, warped, warped, warped, NONE, params,
+                 window, keep, output, history)
+
+
+@compiled
+def upsample_codes_rows(y0: int, y1: int, radiance: np.ndarray, codes: np.ndarray, factors: np.ndarray,
+                        scaling: np.ndarray, moved: np.ndarray, past: np.ndarray, warped: np.ndarray,
+                        params: np.ndarray, window: np.ndarray, keep: np.ndarray, output: np.ndarray,
+                        history: np.ndarray) -> None:
+    """The same, where the fine head is made of codes."""
+    resolve_rows(y0, y1, radiance, room_for_pair(codes), (codes, factors, scaling), moved, past, warped, warped, warped,
+                 warped, warped, NONE, params, window, keep, output, history)
 
 
 @compiled
@@ -438,8 +471,18 @@ def guided_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, moved:
                 history: np.ndarray) -> None:
     """Radiance without reflectance. It gets the guides' reflectance at output size as far as the guides are trusted;
     the rest has the reflectance of the render size."""
-    resolve_rows(y0, y1, radiance, fine, moved, past, warped, diffuse_albedo, specular_albedo, trust, warped, GUIDED,
-                 params, window, keep, output, history)
+    resolve_rows(y0, y1, radiance, fine, no_codes(), moved, past, warped, diffuse_albedo, specular_albedo, trust,
+                 warped, GUIDED, params, window, keep, output, history)
+
+
+@compiled
+def guided_codes_rows(y0: int, y1: int, radiance: np.ndarray, codes: np.ndarray, factors: np.ndarray,
+                      scaling: np.ndarray, moved: np.ndarray, past: np.ndarray, warped: np.ndarray,
+                      diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, trust: np.ndarray, params: np.ndarray,
+                      window: np.ndarray, keep: np.ndarray, output: np.ndarray, history: np.ndarray) -> None:
+    """The same, where the fine head is made of codes."""
+    resolve_rows(y0, y1, radiance, room_for_pair(codes), (codes, factors, scaling), moved, past, warped, diffuse_albedo,
+                 specular_albedo, trust, warped, GUIDED, params, window, keep, output, history)
 
 
 @compiled
@@ -448,20 +491,46 @@ def unscaled_rows(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, move
                   output: np.ndarray, history: np.ndarray) -> None:
     """Radiance without reflectance, which is multiplied after the samples are weighed where they lie at the centres of
     the output's pixels: texture of one pixel is not resampled. Else radiance that already holds it."""
+    resolve_unscaled(y0, y1, radiance, fine, no_codes(), moved, past, warped, factor, params, window, keep, output,
+                     history)
+
+
+@compiled
+def unscaled_codes_rows(y0: int, y1: int, radiance: np.ndarray, codes: np.ndarray, factors: np.ndarray,
+                        scaling: np.ndarray, moved: np.ndarray, past: np.ndarray, warped: np.ndarray,
+                        factor: np.ndarray, params: np.ndarray, window: np.ndarray, keep: np.ndarray,
+                        output: np.ndarray, history: np.ndarray) -> None:
+    """The same, where the fine head is made of codes."""
+    resolve_unscaled(y0, y1, radiance, room_for_pair(codes), (codes, factors, scaling), moved, past, warped, factor,
+                     params, window, keep, output, history)
+
+
+@compiled
+def resolve_unscaled(y0: int, y1: int, radiance: np.ndarray, fine: np.ndarray, coded: Coded, moved: np.ndarray,
+                     past: np.ndarray, warped: np.ndarray, factor: np.ndarray, params: np.ndarray, window: np.ndarray,
+                     keep: np.ndarray, output: np.ndarray, history: np.ndarray) -> None:
+    """Output pixels where no enlarging is needed."""
     if params[JITTER_X] == ZERO and params[JITTER_Y] == ZERO:
-        resolve_rows(y0, y1, radiance[:3], fine, moved, past, warped, warped, warped, warped, factor, OWN, params,
-                     window, keep, output, history)
+        resolve_rows(y0, y1, radiance[:3], fine, coded, moved, past, warped, warped, warped, warped, factor, OWN,
+                     params, window, keep, output, history)
     else:
-        resolve_rows(y0, y1, radiance[3:], fine, moved, past, warped, warped, warped, warped, factor, NONE, params,
-                     window, keep, output, history)
+        resolve_rows(y0, y1, radiance[3:], fine, coded, moved, past, warped, warped, warped, warped, factor, NONE,
+                     params, window, keep, output, history)
 
 
 WRITES = ("output", "next_history")
-READS = ("radiance", "fine", "moved", "past", "warped")
-UPSAMPLE = kernel("upsample", (*READS, "params", "window", "keep"), WRITES, upsample_rows, ("output", 0))
-UPSAMPLE_GUIDED = kernel("upsample_guided", (*READS, *GUIDE_REFLECTANCE, "trust", "params", "window", "keep"), WRITES,
-                         guided_rows, ("output", 0), radiance=BOTH)
-UPSAMPLE_UNSCALED = kernel("upsample_unscaled", (*READS, "factor", "params", "window", "keep"), WRITES, unscaled_rows,
-                           ("output", 0), radiance=BOTH)
+BETWEEN, LAST = ("moved", "past", "warped"), ("params", "window", "keep")
+HELD, CODED = ("radiance", "fine", *BETWEEN), ("radiance", "codes", "factors", "scaling", *BETWEEN)
+GUIDES_READ = (*GUIDE_REFLECTANCE, "trust")
+UPSAMPLE = kernel("upsample", (*HELD, *LAST), WRITES, upsample_rows, ("output", 0))
+UPSAMPLE_GUIDED = kernel("upsample_guided", (*HELD, *GUIDES_READ, *LAST), WRITES, guided_rows, ("output", 0),
+                         radiance=BOTH)
+UPSAMPLE_UNSCALED = kernel("upsample_unscaled", (*HELD, "factor", *LAST), WRITES, unscaled_rows, ("output", 0),
+                           radiance=BOTH)
+CODES_PLAIN = kernel("upsample_codes", (*CODED, *LAST), WRITES, upsample_codes_rows, ("output", 0))
+CODES_GUIDED = kernel("upsample_codes_guided", (*CODED, *GUIDES_READ, *LAST), WRITES, guided_codes_rows, ("output", 0),
+                      radiance=BOTH)
+CODES_UNSCALED = kernel("upsample_codes_unscaled", (*CODED, "factor", *LAST), WRITES, unscaled_codes_rows,
+                        ("output", 0), radiance=BOTH)
 for one in (UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED):
     in_half(one, "fine")

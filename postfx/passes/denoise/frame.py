@@ -177,13 +177,13 @@ class Frames:
     """The networks for frames of one size. The history can continue at another size.
 
     The first of several models is in use until `use` takes another. Guided models read guides. Reactive frames have a
-    mask that tells where the history is not used.
+    mask that tells where the history is not used. Layered ones may have layers beside the picture.
     """
 
     def __init__(self, device: Device, sizes: Sizes, models: Sequence[str], history: History,
-                 guided: bool = False, reactive: bool = False) -> None:
+                 guided: bool = False, reactive: bool = False, layered: bool = False) -> None:
         self._device, self._sizes, self._models = device, sizes, tuple(models)
-        self._guided, self._reactive = guided, reactive
+        self._guided, self._reactive, self._layered = guided, reactive, layered
         self._halo = halo_of(models)
         self._graphs: LRUCache[Shape, Graphs] = LRUCache(MOST_GRAPHS)
         self._bands = bands_within(device.scratch, sizes, models)
@@ -320,7 +320,8 @@ class Frames:
     def _graph_of(self, shape: Shape) -> Graphs:
         window, networks = Window(self._sizes, 0, 0, *shape), [name for name in self._models if name != CLASSIC]
         return Graphs(
-            LayerGraph(self._device, window, networks, self._guided, self._reactive) if networks else None,
+            LayerGraph(self._device, window, networks, self._guided, self._reactive, self._layered) if networks
+            else None,
             ClassicGraph(self._device, window, self._reactive) if len(networks) < len(self._models) else None)
 
 
@@ -373,10 +374,11 @@ class ReadyNetwork(Ready):
         self.planes = Planes(device, spec, output, guided)
         self.reflections = Reflections(device, spec) if can_follow(spec) else None
         self.reactive = Reactive(device, spec, mask)
-        self.frames = Frames(device, sizes, list(models.values()), history, guided, mask.role(spec) is not None)
+        alpha = alpha and spec.has(Role.ALPHA)
+        self.frames = Frames(device, sizes, list(models.values()), history, guided, mask.role(spec) is not None,
+                             alpha or bool(parts))
         self.restore = Restore(device, output) if output == (spec.height, spec.width) else None
         full = strength == 1 and not spec.has(Role.STRENGTH)
         self.strength = None if full else Strength(device, spec, output, strength)
-        alpha = alpha and spec.has(Role.ALPHA)
         self.layers = Layers(device, spec, output, parts, alpha, part_history) if parts or alpha else None
         self.own = {name: self.frames.beside(own) for name, own in part_history.own.items()}

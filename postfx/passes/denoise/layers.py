@@ -80,7 +80,7 @@ class LayerGraph(Graph):
         first, count = layers[0], len(layers)
         if count not in self._layer_tables:
             self._make_layer_tables(count)
-        tables, stacks = self._layer_tables[count][self._half[model]], self._stacks[count]
+        tables, stacks = self._layer_tables[count][self._forms[model]], self._stacks[count]
         accumulates, heads = "part" in first.tensors, self._heads[model]
         self._bind(tables, {**tensors, **first.tensors, "fine": heads["fine"]}, self._place(window), heads)
         light, end = tensors[f"light {first.name}"], tables["upsample"]
@@ -105,7 +105,7 @@ class LayerGraph(Graph):
             filtered, self._alpha_order = self._make_pyramid(self._alpha_tables, level)
             self._table(self._alpha_tables, "level", LEVEL, level=level)
             self._table(self._alpha_tables, "enlarge", ENLARGE_ALPHA, filtered=filtered)
-        tables, heads = self._alpha_tables[self._half[model]], self._heads[model]
+        tables, heads = self._alpha_tables[self._forms[model]], self._heads[model]
         self._bind(tables, {**tensors, **layer.tensors, "fine": heads["fine"]}, self._place(window), heads)
         tables["enlarge"]["enlarged"] = tensors[f"light {layer.name}"]
         with commands.compute_encoder("alpha") as encoder:

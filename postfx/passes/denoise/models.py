@@ -8,6 +8,7 @@ from typing import Any
 
 from postfx.errors import ModelError, PassOptionError
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY
+from postfx.kernels.native import has_byte_products
 from postfx.passes.denoise.tiling import LEVELS
 from postfx.runtime import Device, Library, PipelineState
 from postfx.runtime.convolutions import Head
@@ -151,7 +152,7 @@ def _grid(outputs: Mapping[str, Mapping[str, Any]]) -> int:
 def load_network(device: Device, model: str, dims: Mapping[str, int]) -> PipelineState:
     """A model, ready for the given sizes of its free dimensions."""
     library, name = find_model(model)
-    return device.pipeline_state(library, name, dims, heads=HEADS)
+    return device.pipeline_state(library, name, dims, heads=HEADS, codes=device.runs_rows and has_byte_products())
 
 
 def name_models(device: Device, models: Iterable[str]) -> None:

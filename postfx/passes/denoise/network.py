@@ -12,13 +12,15 @@ import numpy as np
 
 from postfx.caching import LRUCache
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import FEATURES, FINE, GUIDES, IN_HALF, TRUST_CELL
+from postfx.kernels.denoise import FEATURES, FINE, GUIDES, IN_HALF, MIX, TRUST_CELL
 from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
 from postfx.kernels.denoise.features import FEATURE, GUIDE, STORED_FEATURE, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP
 from postfx.kernels.denoise.network_io import (
     OPEN,
+    OPEN_CODES,
     OPEN_FINE,
+    OPEN_FINE_CODES,
     OPEN_FINE_PRODUCTS,
     OPEN_PHASED,
     OPEN_PRODUCTS,
@@ -30,8 +32,16 @@ from postfx.kernels.denoise.network_io import (
     opened_shape,
 )
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, means_size
-from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
+from postfx.kernels.denoise.pyramid import FILTER, FILTER_CODES, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
+from postfx.kernels.denoise.upsample import (
+    CODES_GUIDED,
+    CODES_PLAIN,
+    CODES_UNSCALED,
+    UPSAMPLE,
+    UPSAMPLE_GUIDED,
+    UPSAMPLE_UNSCALED,
+)
+from postfx.kernels.vectors import FOURS
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.tiling import LEVELS, Window
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, ModelError, PipelineState, Tensor
@@ -45,9 +55,11 @@ STORED, CODING = "stored_", "coding_"
 """Prefixes of the names of 8-bit inputs, channels last, and of the constants that tell how they are coded."""
 PRODUCTS, SCALING = "products_", "scaling_"
 """Prefixes of the names of integer outputs, (C, h * w), and of the constants that scale them."""
+CODES = "codes_"
+"""Prefix of the names of 8-bit outputs, channels last, of which kernels make such products."""
 RING = 1
 """Border in pixels around 8-bit inputs, for networks whose first convolution reads beyond the picture."""
-MADE = (PACKED, RAW, PHASED_FINE, STORED, PRODUCTS)
+MADE = (PACKED, RAW, PHASED_FINE, STORED, PRODUCTS, CODES)
 CHANNELS = {"features": FEATURES, "guides": GUIDES}
 FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
 """Feature channels that float32 networks read as inputs of their own: a CPU is fastest with few, or multiples of 16."""
@@ -91,22 +103,24 @@ def parts_of(features: Tensor) -> dict[str, Tensor]:
 def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
     """Shapes of a network's heads after their activations, by name."""
     heads, seen = dict[str, tuple[int, ...]](), seen_by(state)["features"][2:]
+    counts = {binding.name: state.shapes[binding.name][0] for binding in state.bindings
+              if binding.name.startswith(PRODUCTS)}
+    counts |= {output: len(product.factors) for output, product in state.products.items()}
+    for output, count in counts.items():
+        name = output.removeprefix(PRODUCTS)
+        heads[name] = (1, FINE, *seen) if name == "fine" else (1, count, *(side >> int(name[-1]) for side in seen))
     for binding in state.bindings:
         name, size = binding.name.removeprefix(RAW), state.shapes[binding.name]
         if binding.name == PHASED_FINE:
             heads["fine"] = opened_shape("fine", *size[2:])
-        elif binding.name.startswith(PRODUCTS):
-            name = name.removeprefix(PRODUCTS)
-            heads[name] = (1, FINE, *seen) if name == "fine" else (
-                1, size[0], *(side >> int(name[-1]) for side in seen))
-        elif binding.access == "write":
+        elif binding.access == "write" and not binding.name.startswith((PRODUCTS, CODES)):
             heads[name] = size if name == binding.name else opened_shape(name, *size[1:3])
     return heads
 
 
 def check_bindings(state: PipelineState) -> None:
     """ModelError for a network that is not a denoiser. Kernels prepare its inputs and take its outputs by name."""
-    coded = re.compile(f"^({PACKED}|{RAW}|{STORED}|{PRODUCTS})")
+    coded = re.compile(f"^({PACKED}|{RAW}|{STORED}|{PRODUCTS}|{CODES})")
     plain = {binding.name: coded.sub("", binding.name) for binding in state.bindings}
     reads = {b.name for b in state.bindings if b.access == "read"}
     strange = [name for name in reads if plain[name] not in (*CHANNELS, *FEATURE_PARTS)]
@@ -123,7 +137,8 @@ def alike_heads(state: PipelineState) -> dict[str, np.ndarray]:
 
 class Network:
     """A network that reads `seen` and writes `heads`, both by name; `new` makes the tensors in between. Its tables
-    `looks` run in place of those of their names: on a CPU the kernel 'features' itself writes 8 bits."""
+    `looks` run in place of those of their names: on a CPU the kernel 'features' itself writes 8 bits. Other kernels
+    make the fine head of what is `coded`, by their bindings, if the network leaves it to them."""
 
     def __init__(self, state: PipelineState, seen: Mapping[str, Tensor], heads: Mapping[str, Tensor],
                  new: Callable[[str, tuple[int, ...], str], Tensor]) -> None:
@@ -145,6 +160,14 @@ class Network:
         closed = [name for name in made if name.startswith((RAW, PHASED_FINE, PRODUCTS))]
         self._before = [_packer(state, made[name], constants, seen) for name in packed]
         openers = [_openers(state, made[name], constants, heads) for name in closed]
+        self.coded: dict[str, Tensor] = {}
+        for output, product in state.products.items():
+            name, factors = output.removeprefix(PRODUCTS), product.factors
+            whole = np.pad(factors, ((0, -len(factors) % FOURS), (0, 0)))
+            coded = {"codes": made[product.codes], "scaling": constants[f"{SCALING}{name}"],
+                     "factors": upload(state.device.heap, f"factors {name}", whole, "int8")}
+            openers.append([_code_opener(state, heads[name], coded, name == "fine")])
+            self.coded = coded if name == "fine" else self.coded
         self._after = [[table for table in step if table] for step in zip_longest(*openers)]
 
     def encode(self, commands: CommandBuffer) -> None:
@@ -190,6 +213,13 @@ def _openers(state: PipelineState, closed: Tensor, constants: Mapping[str, Tenso
     return tables
 
 
+def _code_opener(state: PipelineState, head: Tensor, coded: Mapping[str, Tensor], fine: bool) -> ArgumentTable:
+    if not fine:
+        return _table(state, OPEN_CODES, **coded, heads=head)
+    _, count, rows, columns = head.shape
+    return _table(state, OPEN_FINE_CODES, **coded, fine=head.view("fine", (1, count, rows // 2, 2, columns)))
+
+
 def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor],
             heads: Mapping[str, Tensor]) -> ArgumentTable:
     if closed.name == PHASED_FINE:
@@ -208,7 +238,8 @@ def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor
 
 
 def _table(state: PipelineState, kernel: Kernel, **tensors: Tensor) -> ArgumentTable:
-    return ArgumentTable(state.device.compute_state(_kernel_for(kernel, _is_half(state))), tensors)
+    taken = IN_HALF.get(kernel, kernel) if _is_half(state) else kernel
+    return ArgumentTable(state.device.compute_state(taken), tensors)
 
 
 def _is_half(state: PipelineState) -> bool:
@@ -219,10 +250,6 @@ def _is_half(state: PipelineState) -> bool:
 def _codes_features(state: PipelineState) -> bool:
     """Whether the features are made in 8 bits: for such a network on a CPU."""
     return state.device.runs_rows and f"{STORED}features" in state.shapes
-
-
-def _kernel_for(kernel: Kernel, half: bool) -> Kernel:
-    return IN_HALF.get(kernel, kernel) if half else kernel
 
 
 def _dispatch(commands: CommandBuffer, label: str, steps: list[list[ArgumentTable]], after: tuple[str, ...]) -> None:
@@ -239,10 +266,16 @@ PLAIN, GUIDED, UNSCALED = "plain", "guided", "unscaled"
 ENDS = {PLAIN: (REMODULATE, UPSAMPLE), GUIDED: (REMODULATE_BOTH, UPSAMPLE_GUIDED),
         UNSCALED: (REMODULATE_BOTH, UPSAMPLE_UNSCALED)}
 """Kernels that put the reflectance back and enlarge: before, with that of guides, or after, at the render size."""
+WHOLE, HALF, CODED = range(3)
+"""Forms of the fine head: in float32, in half precision beside such a network on a GPU, and made row by row in the
+kernels that read it, which leaves its last channels alone in memory."""
+IN_CODES = {"filter 0": FILTER_CODES, f"upsample {PLAIN}": CODES_PLAIN, f"upsample {GUIDED}": CODES_GUIDED,
+            f"upsample {UNSCALED}": CODES_UNSCALED}
+"""Kernels that take the place of those in these tables where the fine head is made of codes."""
 MOST_PLACES = 64
 """Windows of one size whose positions stay on the device."""
-Tables = dict[bool, dict[str, ArgumentTable]]
-"""Argument tables by name, for networks in half precision on a GPU and for others."""
+Tables = dict[int, dict[str, ArgumentTable]]
+"""Argument tables by name, for each form of the fine head."""
 
 
 class Graph:
@@ -250,25 +283,27 @@ class Graph:
 
     A guided graph's models also read guides, and colour gets the guides' reflectance at output size, as far as it is
     trusted. A reactive graph can use masks of how much history counts. Models that doubt planes also read their mean.
+    Where layers are filtered, too, the `whole` fine head is kept for them.
     """
 
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
-                 reactive: bool = False) -> None:
+                 reactive: bool = False, whole: bool = False) -> None:
         self._device, self._window, self._guided, self._reactive = device, window, guided, reactive
         dims = free_dimensions(window.padded_size)
         networks = {model: load_network(device, model, dims) for model in models}
         for state in networks.values():
             check_bindings(state)
-        self._half = {model: _is_half(state) for model, state in networks.items()}
+        self._forms = {model: HALF if _is_half(state) else CODED if state.products and not whole else WHOLE
+                       for model, state in networks.items()}
         self._tables = self._new_tables()
         self._places: LRUCache[Window, dict[str, dict[str, Tensor]]] = LRUCache(MOST_PLACES)
         between = cache(self._new)  # of several networks only one runs in a frame
-        self._heads = {model: self._heads_of(state, between) for model, state in networks.items()}
+        self._heads = {model: self._heads_of(state, self._forms[model], between) for model, state in networks.items()}
         self._doubting = {model for model in models if doubts_planes(model)}
         self._ends = {model: self._end_of(model) for model in models}
         self._make_tensors(networks[models[0]])
         self._seen |= {name: between(name, state.shapes[name], "float16") for model, state in networks.items()
-                       for name in IN_HALF[FEATURE].writes if self._half[model] and name in state.shapes}
+                       for name in IN_HALF[FEATURE].writes if self._forms[model] == HALF and name in state.shapes}
         self._make_tables(all(map(_codes_features, networks.values())))
         self._networks = {model: Network(state, self._seen, self._heads[model], between)
                           for model, state in networks.items()}
@@ -288,8 +323,8 @@ class Graph:
         warped = self._made["warped"] if moves else tensors["history"]
         end, doubts = self._ends[model], model in self._doubting
         known = {"warped": warped, "keep": self._keep(tensors, masked), "fine": self._heads[model]["fine"],
-                 "means": self._means if doubts else self._no_means}
-        tables = self._tables[self._half[model]] | self._networks[model].looks
+                 "means": self._means if doubts else self._no_means, **self._networks[model].coded}
+        tables = self._tables[self._forms[model]] | self._networks[model].looks
         self._bind(tables, {**self._made, **tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
@@ -320,10 +355,12 @@ class Graph:
     def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
         return self._device.heap.transient(name, shape, dtype)
 
-    def _heads_of(self, network: PipelineState, between: Callable[..., Tensor]) -> dict[str, Tensor]:
+    def _heads_of(self, network: PipelineState, form: int, between: Callable[..., Tensor]) -> dict[str, Tensor]:
         """The heads that the filters read, by name; for levels that the network does not compute, their constants."""
         shapes, products = heads_of(network), f"{PRODUCTS}fine"
-        dtype = "float16" if _is_half(network) else "float32"
+        dtype = "float16" if form == HALF else "float32"
+        if form == CODED:
+            shapes["fine"] = (1, FINE - MIX, *shapes["fine"][2:])
         heads = {name: between(name, shape, dtype) for name, shape in shapes.items()}
         if products in network.shapes and self._device.runs_rows:
             behind = SOME * math.prod(shapes["fine"][2:])
@@ -350,7 +387,7 @@ class Graph:
         self._seen = {name: self._new(name, shape) for name, shape in seen_by(network).items()}
 
     def _new_tables(self) -> Tables:
-        return {half: {} for half in self._half.values()}
+        return {form: {} for form in self._forms.values()}
 
     def _make_tables(self, coded: bool) -> None:
         level = self._window.level
@@ -400,8 +437,9 @@ class Graph:
 
     def _table(self, tables: Tables, name: str, kernel: Kernel, **tensors: Tensor) -> None:
         """Make the argument tables of a kernel, with the tensors that the kernel names."""
-        for half, named in tables.items():
-            taken = _kernel_for(kernel, half)
+        for form, named in tables.items():
+            taken = IN_HALF.get(kernel, kernel) if form == HALF else kernel
+            taken = IN_CODES.get(name, taken) if form == CODED else taken
             named[name] = ArgumentTable(self._device.compute_state(taken))
             for binding in taken.reads + taken.writes:
                 if binding in tensors:
