@@ -82,7 +82,7 @@ class Case(NamedTuple):
                 "coarse_h": hp // 2 + self.second, "coarse_w": wp // 2 + self.second,
                 "ringed_hp": hp + 2, "ringed_wp": wp + 2, "th": window.rows, "tw": window.columns,
                 "out_th": window.out.rows, "out_tw": window.out.columns,
-                "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8,
+                "padded_h": window.rows + 2, "padded_w": window.columns + 2, "channels": 4, "wide": 8, "controls": FINE,
                 "tiles": 3, "parts": 1 + self.w % 3, "planes": (1, 3, 6)[self.w % 3],
                 **dict.fromkeys(("reached_h", "reached_w"), 1 if self.h % 2 else 9),
                 "near_h": 1 if self.w % 3 == 2 else -(-self.h // NEAR_CELL),

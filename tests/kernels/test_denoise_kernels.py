@@ -6,13 +6,34 @@ import numpy as np
 import pytest
 
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import FINE
+from postfx.kernels.denoise import FINE, MIX
 from postfx.kernels.denoise.features import FEATURE, STORED_FEATURE
-from postfx.kernels.denoise.network_io import OPEN_FINE_PRODUCTS, OPEN_SOME_PRODUCTS, SOME, STORE, STORE_RINGED
+from postfx.kernels.denoise.network_io import (
+    LEVEL,
+    OPEN_CODES,
+    OPEN_FINE_CODES,
+    OPEN_FINE_PRODUCTS,
+    OPEN_PRODUCTS,
+    OPEN_SOME_PRODUCTS,
+    SOME,
+    STORE,
+    STORE_RINGED,
+)
+from postfx.kernels.denoise.prepare import ACCUMULATE
+from postfx.kernels.denoise.pyramid import FILTER, FILTER_CODES, MIX_LEVELS
+from postfx.kernels.denoise.upsample import (
+    CODES_GUIDED,
+    CODES_PLAIN,
+    CODES_UNSCALED,
+    UPSAMPLE,
+    UPSAMPLE_GUIDED,
+    UPSAMPLE_UNSCALED,
+)
 from postfx.kernels.image import RESAMPLE, positions
 from postfx.passes.denoise.network import stored_channels
 from postfx.runtime import Device
-from tests.kernels.denoise_cases import CASES, KERNELS, ODD, Case, arguments, run, runs_of
+from postfx.kernels.native import has_byte_products
+from tests.kernels.denoise_cases import CASES, KERNELS, ODD, Case, arguments, case_for, run, runs_of
 
 TOLERANCE = 1e-4
 
@@ -118,3 +139,66 @@ def test_products_are_opened_where_they_lie() -> None:
         for rows in ((0, 5), (5, h)):
             OPEN_SOME_PRODUCTS.rows(*rows, products[:, 4 * first:4 * (first + SOME)], scaling, at, fine[:, some])
     np.testing.assert_array_equal(fine, wanted)
+
+
+FROM_CODES = ((FILTER, FILTER_CODES), (UPSAMPLE, CODES_PLAIN), (UPSAMPLE_GUIDED, CODES_GUIDED),
+              (UPSAMPLE_UNSCALED, CODES_UNSCALED))
+coded = pytest.mark.skipif(not has_byte_products(), reason="needs an x86-64 processor")
+
+
+def codes_of(case: Case, rows: int, channels: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Codes with factors and scaling, the largest ones among them, and their products."""
+    random, sizes = np.random.default_rng(3), case_for(FILTER, case).sizes()
+    codes = random.integers(0, 256, (1, sizes["half_hp"], sizes["half_wp"], channels)).astype(np.uint8)
+    factors = random.integers(-64, 65, (rows, channels)).astype(np.int8)
+    codes[0, 0, 0], factors[1] = 255, 64
+    scaling = np.stack([random.uniform(1e-4, 3e-4, rows), random.normal(0, 1, rows)]).astype(np.float32)
+    products = np.einsum("kc,yxc->kyx", factors.astype(np.int32), codes[0].astype(np.int32))[None]
+    return {"codes": codes, "factors": factors, "scaling": scaling}, np.ascontiguousarray(products)
+
+
+def opened(case: Case, products: np.ndarray, scaling: np.ndarray) -> np.ndarray:
+    """The fine head of products."""
+    fine = np.empty((1, FINE, 2 * products.shape[2], 2 * products.shape[3]), np.float32)
+    OPEN_FINE_PRODUCTS.rows(0, fine.shape[2], products, scaling, fine)
+    return fine
+
+
+@coded
+@pytest.mark.parametrize("channels", [32, 20])
+def test_heads_of_codes_are_those_of_products(channels: int, compiled: Device) -> None:
+    given, products = codes_of(ODD, 4 * FINE, channels)
+    wanted = opened(ODD, products, given["scaling"])
+    for first in (0, MIX):
+        fine = np.empty((1, FINE - first, products.shape[2], 2, wanted.shape[3]), np.float32)
+        OPEN_FINE_CODES.rows(0, products.shape[2], *given.values(), fine)
+        np.testing.assert_array_equal(fine.reshape(1, FINE - first, *wanted.shape[2:]), wanted[:, first:])
+    level = {"products": products[:, :LEVEL].copy(), "scaling": given["scaling"][:, :LEVEL].copy()}
+    heads = [np.empty(level["products"].shape, np.float32) for _ in range(2)]
+    OPEN_PRODUCTS.rows(0, heads[0].shape[2], *level.values(), heads[0])
+    OPEN_CODES.rows(0, heads[0].shape[2], given["codes"], given["factors"][:28].copy(), level["scaling"], heads[1])
+    np.testing.assert_array_equal(*heads)
+
+
+@coded
+@pytest.mark.parametrize(("plain", "kernel"), FROM_CODES, ids=lambda kernel: kernel.name)
+def test_kernels_make_the_fine_head_of_codes_by_themselves(plain: Kernel, kernel: Kernel, compiled: Device) -> None:
+    """Beside other rows and columns, in parts and at other scales: the same bits."""
+    for case in CASES:
+        given, products = codes_of(case_for(kernel, case), 4 * FINE, 12)
+        inputs = arguments(plain, case)
+        fine = opened(case, products, given["scaling"])
+        wanted = run(plain, compiled, inputs | {"heads" if plain is FILTER else "fine": fine}, case._replace(heads=FINE))
+        kept = {name: value for name, value in inputs.items() if name in kernel.reads}
+        found = run(kernel, compiled, kept | given, case)
+        assert all(np.array_equal(found[name], wanted[name]) for name in kernel.writes), case
+
+
+@pytest.mark.parametrize("kernel", [ACCUMULATE, MIX_LEVELS], ids=lambda kernel: kernel.name)
+def test_the_last_channels_of_the_fine_head_are_enough(kernel: Kernel) -> None:
+    inputs, name = arguments(kernel, ODD), "fine" if kernel is ACCUMULATE else "heads"
+    found = []
+    for head in (inputs[name], inputs[name][:, MIX:].copy()):
+        written = run(kernel, Device("cpu", threads=1), inputs | {name: head}, ODD)
+        found.append(written)
+    assert all(np.array_equal(found[0][key], found[1][key], equal_nan=True) for key in kernel.writes)

@@ -243,7 +243,7 @@ DILATE = kernel("dilate", ("motion", "depth", "part_rows", "part_columns"), ("mo
 MEANS = kernel("means", (*REFLECTANCE, "part_rows", "part_columns"), ("means",), mean_rows, ("means", 0))
 ACCUMULATE = kernel("accumulate", ("colour", *REFLECTANCE, "means", "depth", "past", "fine", "params", "window"),
                     ("next_state", "next_depth", "level", "factor"), accumulate_rows, ("level", 1),
-                    fine=(1, "channels", "hp", "wp"))
+                    fine=(1, "controls", "hp", "wp"))
 in_half(ACCUMULATE, "fine")
 
 

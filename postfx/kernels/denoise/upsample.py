@@ -528,9 +528,9 @@ UPSAMPLE_GUIDED = kernel("upsample_guided", (*HELD, *GUIDES_READ, *LAST), WRITES
 UPSAMPLE_UNSCALED = kernel("upsample_unscaled", (*HELD, "factor", *LAST), WRITES, unscaled_rows, ("output", 0),
                            radiance=BOTH)
 CODES_PLAIN = kernel("upsample_codes", (*CODED, *LAST), WRITES, upsample_codes_rows, ("output", 0))
-CODES_GUIDED = kernel("upsample_codes_guided", (*CODED, *GUIDES_READ, *LAST), WRITES, guided_codes_rows, ("output", 0),
+CODES_GUIDED = kernel("upsample_guided_codes", (*CODED, *GUIDES_READ, *LAST), WRITES, guided_codes_rows, ("output", 0),
                       radiance=BOTH)
-CODES_UNSCALED = kernel("upsample_codes_unscaled", (*CODED, "factor", *LAST), WRITES, unscaled_codes_rows,
+CODES_UNSCALED = kernel("upsample_unscaled_codes", (*CODED, "factor", *LAST), WRITES, unscaled_codes_rows,
                         ("output", 0), radiance=BOTH)
 for one in (UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED):
     in_half(one, "fine")
