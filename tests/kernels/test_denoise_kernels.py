@@ -30,9 +30,9 @@ from postfx.kernels.denoise.upsample import (
     UPSAMPLE_UNSCALED,
 )
 from postfx.kernels.image import RESAMPLE, positions
+from postfx.kernels.native import has_byte_products
 from postfx.passes.denoise.network import stored_channels
 from postfx.runtime import Device
-from postfx.kernels.native import has_byte_products
 from tests.kernels.denoise_cases import CASES, KERNELS, ODD, Case, arguments, case_for, run, runs_of
 
 TOLERANCE = 1e-4
@@ -187,8 +187,8 @@ def test_kernels_make_the_fine_head_of_codes_by_themselves(plain: Kernel, kernel
     for case in CASES:
         given, products = codes_of(case_for(kernel, case), 4 * FINE, 12)
         inputs = arguments(plain, case)
-        fine = opened(case, products, given["scaling"])
-        wanted = run(plain, compiled, inputs | {"heads" if plain is FILTER else "fine": fine}, case._replace(heads=FINE))
+        head = {"heads" if plain is FILTER else "fine": opened(case, products, given["scaling"])}
+        wanted = run(plain, compiled, inputs | head, case._replace(heads=FINE))
         kept = {name: value for name, value in inputs.items() if name in kernel.reads}
         found = run(kernel, compiled, kept | given, case)
         assert all(np.array_equal(found[name], wanted[name]) for name in kernel.writes), case
