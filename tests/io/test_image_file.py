@@ -16,8 +16,11 @@ from postfx.errors import MissingFrameError, ReadError
 from postfx.io.exr.container import ExrContainer, ZipReader
 from postfx.io.image_file import ImageFile
 from postfx.kernels.pixel_formats import (
+    LONGEST,
     compress_rows,
+    count_coded,
     decompress_rows,
+    find_lengths,
     pack_bytes,
     predict_bytes,
     unpredict_bytes,
@@ -230,6 +233,29 @@ def test_bytes_without_repetitions_are_a_stream_that_zlib_reads(kind):
         assert size <= count + 5 * (count // 65535 + 2) + 6
     shares = np.bincount(plain)[np.bincount(plain) > 0] / count
     assert size < 1.06 * count * (shares * np.maximum(1, -np.log2(shares))).sum() / 8 + 400  # a code has a bit at least
+
+
+def _least_bits(counts: list[int]) -> int:
+    """Of all codes together, by Huffman's own way: the two rarest become one, again and again."""
+    nodes, bits = sorted(filter(None, counts)), 0
+    while len(nodes) > 1:
+        rarest = nodes[0] + nodes[1]
+        nodes, bits = sorted([rarest, *nodes[2:]]), bits + rarest
+    return bits
+
+
+def test_codes_are_as_short_as_they_can_be():
+    """In Python, where NumPy refuses places outside of an array."""
+    rng, fibonacci = np.random.default_rng(0), [1, 1]
+    while len(fibonacci) < 24:
+        fibonacci.append(sum(fibonacci[-2:]))
+    for counts in ([1, 1], [0, 9, 0, 1], [4, 4, 4, 4], [1, 2, 4, 8], rng.integers(0, 99, 257).tolist(), fibonacci):
+        lengths = np.full(len(counts), 99)
+        bits = find_lengths.py_func(np.array(counts), lengths)
+        assert bits == np.dot(counts, lengths) and all((lengths > 0) == np.array(counts, bool))
+        assert sum(2.0 ** -lengths[lengths > 0]) == 1
+        assert bits == _least_bits(counts) if counts is not fibonacci else lengths.max() == LONGEST
+    assert count_coded(np.tile(np.arange(256), 64).astype(np.uint8)) == pytest.approx(256 * 64, abs=16)
 
 
 def test_rows_with_noise_take_less_room_than_with_a_search_for_repetitions():
