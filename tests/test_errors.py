@@ -1,12 +1,20 @@
 """Errors: one tree, shown in the module's docstring, and they survive the way between processes."""
 
 import ast
+import errno
+import os
 import pickle
 from pathlib import Path
 
+import pytest
+
 import postfx
 from postfx import errors
+from postfx.colour.ocio import file_transform
 from postfx.errors import CommandTimeout
+from postfx.io.profile import load_profile
+from postfx.report import capture_data
+from postfx.runs.manifest import NAME, Manifest, Output, verify
 
 PACKAGE = Path(postfx.__file__).parent
 
@@ -33,3 +41,53 @@ def test_no_error_for_users_is_defined_elsewhere():
 def test_errors_with_attributes_can_be_pickled():
     error = pickle.loads(pickle.dumps(CommandTimeout("late", "denoise", ("frame 2",))))
     assert (str(error), error.running, error.waiting) == ("late", "denoise", ("frame 2",))
+
+
+LOOKING = {
+    "a folder of models": (postfx.Library, errors.ModelError),
+    "a model": (lambda path: postfx.DenoiseUpscale(model=f"{path}/toy.onnx"), errors.PostfxError),
+    "a folder to verify": (verify, errors.ManifestError),
+    "a profile": (lambda path: load_profile(f"{path}/studio.toml"), errors.ProfileError),
+    "a look-up table": (lambda path: file_transform(f"{path}/film.cube"), errors.ColourError),
+    "a capture": (capture_data.read, errors.ReadError),
+}
+
+
+@pytest.mark.parametrize("what", LOOKING)
+def test_what_may_not_be_looked_at_is_an_error_that_names_it(what, tmp_path, monkeypatch):
+    look, kind = LOOKING[what]
+    stat = os.stat
+
+    def refuse(path, *words, **named):
+        if str(path).startswith(str(tmp_path)):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return stat(path, *words, **named)
+
+    monkeypatch.setattr(os, "stat", refuse)
+    with pytest.raises(kind, match=str(tmp_path)):
+        look(tmp_path)
+
+
+@pytest.mark.parametrize("look", [verify, lambda path: file_transform(f"{path}/film.cube,input=ACEScct")])
+def test_what_may_not_be_read_is_an_error_that_names_it(look, tmp_path, monkeypatch):
+    (tmp_path / "film.cube").write_text("LUT_3D_SIZE 2")
+    (tmp_path / NAME).write_text(Manifest({}, {"film.cube": Output("run", 1, "0" * 64, 13)}).to_json())
+    opened = open
+
+    def refuse(path, *words, **named):
+        if str(path).endswith(".cube"):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return opened(path, *words, **named)
+
+    monkeypatch.setattr("builtins.open", refuse)
+    monkeypatch.setattr("io.open", refuse)
+    with pytest.raises(errors.PostfxError, match="film.cube: .*cannot be read: Permission denied; check its rights"):
+        look(tmp_path)
+
+
+def test_an_unknown_user_is_no_home_folder():
+    """Python's own way to look for it ends in a RuntimeError."""
+    with pytest.raises(errors.ModelError, match="~nobody-here"):
+        postfx.DenoiseUpscale(library="~nobody-here/models")
+    with pytest.raises(errors.PostfxError, match="~nobody-here"):
+        postfx.DenoiseUpscale(model="~nobody-here/toy.onnx")

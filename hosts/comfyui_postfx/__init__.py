@@ -8,6 +8,7 @@ so that a long shot never lies in memory. Relative paths are in ComfyUI's input 
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,7 +65,7 @@ def _path(kind: str, path: str) -> str:
         folder = ""
     else:
         folder = folder_paths.get_input_directory() if kind == "input" else folder_paths.get_output_directory()
-    return str(Path(folder, Path(path).expanduser()))
+    return str(Path(folder, os.path.expanduser(path)))
 
 
 class LoadSequence:

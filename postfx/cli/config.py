@@ -118,8 +118,8 @@ def find_files() -> list[Path]:
 
     named = os.environ.get(VARIABLE)
     if named is not None:
-        path = Path(named).expanduser()
-        if named and not path.is_file():
+        path = Path(os.path.expanduser(named))
+        if named and not os.path.isfile(path):
             raise OptionError(f"{path}: {VARIABLE} names this file, which is not there: correct or unset the variable")
         return [path] if named else []
     here = Path.cwd()

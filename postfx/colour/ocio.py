@@ -84,9 +84,13 @@ def file_transform(text: str) -> Transform:
     unknown = given.keys() - {"input", "output"}
     if unknown:
         raise ColourError(f"{text}: '{unknown.pop()}' is neither input nor output: {path},input=ACEScct,output=srgb")
-    if not Path(path).is_file():
-        raise ColourError(f"{path}: no such look-up table: check the path")
-    note = _NOTE.search(Path(path).read_bytes()[:_HEAD].decode("utf-8", "replace"))
+    if not os.path.isfile(path):
+        raise ColourError(f"{path}: no such look-up table: check the path and its rights")
+    try:
+        with open(path, "rb") as head:
+            note = _NOTE.search(head.read(_HEAD).decode("utf-8", "replace"))
+    except OSError as error:
+        raise ColourError(f"{path}: look-up table cannot be read: {error.strerror}; check its rights") from error
     space, output = note.groups() if note else (None, "srgb")
     space, output = given.get("input", space), given.get("output", output)
     if space is None:

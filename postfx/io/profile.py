@@ -55,6 +55,7 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
 from __future__ import annotations
 
 import math
+import os
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
@@ -222,7 +223,7 @@ def profile_names() -> tuple[str, ...]:
 def load_profile(name: str) -> Profile:
     """Built-in profile by name, or a user's own by the path of its TOML file; ProfileError when neither."""
     path = BUILTIN / f"{name}.toml"
-    if not path.is_file():
+    if not os.path.isfile(path):
         path = Path(name)
         if path.suffix != ".toml":
             known = ", ".join(profile_names())

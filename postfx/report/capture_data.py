@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -52,7 +53,7 @@ def as_dict(capture: Capture) -> dict[str, Any]:
 def read(path: str | Path) -> tuple[dict[str, Any], Path]:
     """Read a capture.json, given as a file or its folder; returns it and the folder. Raises ReadError."""
     file = Path(path)
-    file = file / FILE if file.is_dir() else file
+    file = file / FILE if os.path.isdir(file) else file
     try:
         data = parse_json(read_text(file))
     except (OSError, ValueError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -151,7 +152,7 @@ class Verification:
 
 def verify(folder: Path) -> Verification:
     """Check a folder; ManifestError if it has no manifest."""
-    if not (folder / NAME).is_file():
+    if not os.path.isfile(folder / NAME):
         raise ManifestError(f"{folder}: has no {NAME}: give the folder that 'postfx run' wrote to")
     manifest = load_manifest(folder)
     found = Verification(runs=_states(folder, manifest))
@@ -159,10 +160,13 @@ def verify(folder: Path) -> Verification:
         path = folder / name
         if output.sha256 is None:
             found.unfinished.append(name)
-        elif not path.is_file():
+        elif not os.path.isfile(path):
             found.missing.append(name)
         else:
-            whole = path.stat().st_size == output.bytes and hash_file(path) == output.sha256
+            try:
+                whole = path.stat().st_size == output.bytes and hash_file(path) == output.sha256
+            except OSError as error:
+                raise ManifestError(f"{path}: cannot be read: {error.strerror}; check its rights") from error
             (found.whole if whole else found.altered).append(name)
     found.unknown = _unknown(folder, manifest)
     return found

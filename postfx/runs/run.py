@@ -130,10 +130,10 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
 
 def _hashes_of(option: Any) -> dict[str, str]:
     """Hashes of the models that an option of a pass names, with those that lie beside them: by name."""
-    path = Path(option).expanduser() if isinstance(option, str | Path) else Path()
-    if isinstance(option, str) and path.suffix == ".onnx" and path.is_file():
+    path = Path(os.path.expanduser(option)) if isinstance(option, str | Path) else Path()
+    if isinstance(option, str) and path.suffix == ".onnx" and os.path.isfile(path):
         option = Library(path.parent)
-    if isinstance(option, Path) and path.is_dir():
+    if isinstance(option, Path) and os.path.isdir(path):
         option = Library(path)
     return {name: option.sha256(name) for name in option.names()} if isinstance(option, Library) else {}
 
@@ -351,5 +351,5 @@ class Run:
 
 def _states_of(paths: list[Path]) -> dict[str, tuple[int, int]]:
     """Size and modification time of the files that exist, by path."""
-    found = {str(path): path.stat() for path in paths if path.is_file()}
+    found = {str(path): path.stat() for path in paths if os.path.isfile(path)}
     return {path: (status.st_size, status.st_mtime_ns) for path, status in found.items()}

@@ -6,6 +6,7 @@ are further away than `PREROLL` frames no longer matter: the seam differs from a
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -106,7 +107,7 @@ def judge(path: Path, known: Output | None, size: tuple[int, int], inputs: Input
     A file that is not in the manifest, or was altered since, is kept if it decodes to its last pixel: it may be
     someone's work. A file that its run never reached is older than that run, and is not kept.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):
         return Judgement(False, "does not exist")
     if known is None:
         return Judgement(True) if is_complete(path, *size) else Judgement(False, "is not complete")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -33,8 +34,8 @@ class Library:
         self.trust = trust
         self.folders = tuple(Path(folder) for folder in folders) or (models_dir(),)
         for folder in self.folders:
-            if not folder.is_dir():
-                raise ModelError(f"model folder '{folder}' does not exist")
+            if not os.path.isdir(folder):
+                raise ModelError(f"model folder '{folder}' does not exist: check the path and its rights")
 
     def __repr__(self) -> str:
         folders = [repr(str(folder)) for folder in self.folders]
@@ -47,7 +48,7 @@ class Library:
     def path(self, name: str) -> Path:
         """The model's file. Raises ModelError that lists the models there are."""
         for folder in self.folders:
-            if (folder / f"{name}.onnx").is_file():
+            if os.path.isfile(folder / f"{name}.onnx"):
                 return folder / f"{name}.onnx"
         where = ", ".join(str(folder) for folder in self.folders)
         known = self.names()
@@ -61,7 +62,7 @@ class Library:
     def card(self, name: str) -> dict[str, Any]:
         """The model's card, empty when it has none. Raises ModelError when the card is not a JSON object."""
         path = self.path(name).with_name(f"{name}.json")
-        if not path.exists():
+        if not os.path.exists(path):
             return {}
         try:
             card = parse_json(read_text(path, _MOST_CARD))

@@ -123,7 +123,7 @@ def find_provider(asked: Provider) -> Provider:
 def _register(library: str) -> None:
     """Load a plug-in's library, once a process."""
     try:
-        path = library if Path(library).is_file() else import_module(library).get_library_path()
+        path = library if os.path.isfile(library) else import_module(library).get_library_path()
         ort.register_execution_provider_library(f"postfx {library}", str(Path(path).absolute()))
     except (ImportError, AttributeError, TypeError) as error:
         raise DeviceError(f"library '{library}' of a provider is neither a file nor a package that has one "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -111,7 +112,7 @@ class DenoiseUpscale(Pass):
         self._own = [part.name for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
         self._used: str | None = None
         self._cameras = Cameras()
-        own = Library(Path(library).expanduser()) if isinstance(library, str | Path) else library
+        own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
         self._tag = validate_tag(str(model), own)
         if self._tag == CLASSIC and self._parts:
             raise PassOptionError("model 'classic' filters no parts: give a network, or no parts")

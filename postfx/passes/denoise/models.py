@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ def validate_tag(model: str, library: Library | None = None) -> str:
 
     Raises PassOptionError for a network that is chosen automatically, ModelError for one that does not exist.
     """
-    path = Path(model).expanduser()
+    path = Path(os.path.expanduser(model))
     word = path.stem if model.endswith(FILE) else model
     plain, ending = split_ending(word)
     if ending:
@@ -57,8 +58,9 @@ def validate_tag(model: str, library: Library | None = None) -> str:
     if model.endswith(FILE):
         if library is not None:
             raise PassOptionError(f"model '{model}' is a file, which needs no library: leave library out")
-        if not path.is_file():
-            raise ModelError(f"model '{model}': no such file: 'postfx models' lists those that need none")
+        if not os.path.isfile(path):
+            raise ModelError(f"model '{model}': no such file: check the path and its rights; 'postfx models' lists "
+                             "those that need none")
         return str(path.absolute())
     if library is None or model == CLASSIC:
         return model
