@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postfx.cli.interruptions import Faults, OnError, Standin, Stop, check_sizes, first_readable
+from postfx.cli.interruptions import Faults, OnError, Standin, Stop, check_memory, check_sizes, first_readable
 from postfx.cli.run_options import (
     RUN,
     explain_kept,
@@ -119,6 +119,8 @@ class Job:
             size = self.plan.output.width, self.plan.output.height
             self.kept, skips = explain_kept(arguments, files, size, others)
             self.skips += skips
+        if not arguments.explain and arguments.model != "classic" and device.memory.host_visible and not device.scratch:
+            check_memory(self.plan, self.sequence)
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits, arguments.compression)

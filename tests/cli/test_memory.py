@@ -39,3 +39,13 @@ def test_what_a_mask_spared_is_told_with_its_time(postfx, write_exr):
     line = next(line for line in done.err.splitlines() if "network outside of" in line)
     assert line.startswith("skipped  network outside of 44 % of 4 frames in denoise_upscale: strength is 0 there; ")
     assert line.endswith(" ms a frame; no whole frame was run to compare with")
+
+
+def test_a_frame_that_no_memory_holds_is_refused_before_it_runs(postfx, shot, monkeypatch):
+    shot(1)
+    monkeypatch.setattr("postfx.cli.interruptions.usable_memory", lambda: 1 << 14)
+    refused = postfx(*RUN, "-o", "out/")
+    assert refused.code == 2 and refused.err.count("\n") == 1
+    assert "in/shot.####.exr: to denoise " in refused.err and "give --memory 1G, which works in tiles" in refused.err
+    for more in (["--memory", "500M"], ["--model", "classic"]):
+        assert postfx(*RUN, "-o", "out/", *more).code == 0

@@ -136,7 +136,9 @@ class DenoiseUpscale(Pass):
             return ("strength 0: the input is only resampled",)
         seen = {*spec.roles, *spec.guide_roles}
         lost = [str(role) for role in GUIDE_ROLES if role not in seen]
-        alone = "no motion plane, so every frame is denoised alone and may flicker: --motion auto estimates it"
+        can_be_estimated = any(map(spec.has, (Role.DIFFUSE_ALBEDO, Role.NORMAL)))
+        remedy = "--motion auto estimates it" if can_be_estimated else "render it, or albedo to estimate it from"
+        alone = f"no motion plane, so every frame is denoised alone and may flicker: {remedy}"
         found = [] if spec.has(Role.MOTION) else [alone]
         found += [f"blurs more without the planes {', '.join(lost)}"] if lost else []
         found += unscaled_remarks(self._tag) if self._is_render_size(spec) else []
