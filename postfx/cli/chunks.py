@@ -36,7 +36,8 @@ examples:
   postfx chunks 'shot/####.exr' --size 50 -o out/clean.####.exr
   postfx chunks 'shot/####.exr' --size 50 --json
   postfx chunks 'shot/####.exr' --size 50 -o out/clean.####.exr -- --scale 1.5 --model l
-  postfx chunks 'shot/####.exr' --size 50 -o out/clean.####.exr --openjd job.json && openjd run job.json --step Verify
+  postfx chunks 'shot/####.exr' --size 50 -o out/clean.####.exr --openjd job.json
+  openjd run job.json --step Verify --run-dependencies    # runs all of that job on this machine
   postfx verify out/ --frames 1-200
 """
 _UNEVEN = {

@@ -66,6 +66,7 @@ PLANE_CHECKS: tuple[Check, ...] = (
 
 COMPARING_CHECKS: tuple[Check, ...] = (
     motion_checks.check_motion_variant,
+    motion_checks.check_motion_coded,
     motion_checks.check_motion_zero,
     *PLANE_CHECKS,
     geometry_checks.check_albedo_encoded,
@@ -84,6 +85,7 @@ COMPARING_CHECKS: tuple[Check, ...] = (
 VALUE_CHECKS: tuple[Check, ...] = (
     plane_checks.check_finite_values,
     plane_checks.check_negative_values,
+    plane_checks.check_light_outside,
     plane_checks.check_unit_range,
 )
 """Find values that no plane should hold."""
@@ -105,6 +107,7 @@ GUIDE_CHECKS: tuple[Check, ...] = (*VALUE_CHECKS, plane_checks.check_enlarged_pl
 
 
 FIRST_LOOK: tuple[Check, ...] = (
+    plane_checks.check_light_outside,
     plane_checks.check_uniform_planes,
     geometry_checks.check_depth_misses,
     geometry_checks.check_normal_encoding,

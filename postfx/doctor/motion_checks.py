@@ -271,7 +271,8 @@ def check_motion_coded(material: Material) -> Iterator[Finding]:
     motion = material.first[Role.MOTION].reshape(-1, 2)
     least, most, typical = motion.min(0), motion.max(0), np.abs(np.median(motion, axis=0))
     one_sign = ((least >= 0) | (most <= 0)).all()
-    if one_sign and np.abs(motion).max(initial=0) <= 1 and (np.abs(typical - 0.5) < CODED).all():
+    is_coded = one_sign and np.abs(motion).max(initial=0) <= 1 and (np.abs(typical - 0.5) < CODED).all()
+    if is_coded and all(found.code != "motion-encoded" for found in check_motion_variant(material)):  # which says more
         evidence = f"all between 0 and 1 pixel, of one sign, around {typical[0]:.2g}, {typical[1]:.2g}"
         yield warning(Role.MOTION, "motion-coded", evidence, "colours around 0.5, not pixels", "write vectors in "
                       "pixels, or in a profile offset = [-0.5, -0.5] and their unit (docs/reference/renderers.md)")

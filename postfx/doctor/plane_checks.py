@@ -118,14 +118,15 @@ def check_uniform_planes(material: Material) -> Iterator[Finding]:
                                              if wrong else "switched off, or nothing in view has such a value",
                                              "render it, or leave the plane out: a black plane misleads")
         elif frames and not black and len(spread) == (1 if role is not Role.NORMAL else 0):
-            yield _constant(role, next(iter(spread)), len(frames))
+            yield _constant(role, f"{next(iter(spread)):.4g}", len(frames))
         elif frames and not black and role is Role.NORMAL and all(_is_one_value(frame[role]) for frame in frames):
-            yield _constant(role, float(frames[0][role].max()), len(frames))
+            value = ", ".join(f"{axis:.4g}" for axis in frames[0][role][0, 0])
+            yield _constant(role, f"({value})", len(frames))
 
 
-def _constant(role: Role, value: float, frames: int) -> Finding:
+def _constant(role: Role, value: str, frames: int) -> Finding:
     level = info if role in (Role.ROUGHNESS, Role.SPECULAR_ALBEDO) else warning
-    return level(role, "constant", f"{value:.4g} everywhere in {frames} frame{'s' * (frames > 1)}",
+    return level(role, "constant", f"{value} everywhere in {frames} frame{'s' * (frames > 1)}",
                  "a default instead of the pass, or an override material", "render it, or leave the plane out")
 
 
@@ -240,6 +241,23 @@ def check_negative_values(material: Material) -> Iterator[Finding]:
         cause = "a filter with negative lobes, a conversion of primaries, or a plane of another meaning"
         level = error if share > MANY else warning if share > 0.1 else info
         yield level(role, "negative", evidence, cause, "render with a positive pixel filter, and linear Rec.709")
+
+
+OUTSIDE = 1.0  # percent of the light
+
+
+def check_light_outside(material: Material) -> Iterator[Finding]:
+    """So much negative light that a pixel filter is not the reason, but colours that the primaries cannot hold."""
+    if Role.COLOUR not in material.first:
+        return
+    light = finite(material.first[Role.COLOUR])
+    share = 100 * float(np.maximum(-light, 0).sum(dtype=np.float64) / max(np.abs(light).sum(dtype=np.float64), 1e-12))
+    if share > OUTSIDE:
+        evidence = (f"{share:.2g} % of the light is below 0, which counts as 0 in each noisy pixel: colours come out "
+                    "paler and brighter")
+        yield warning(Role.COLOUR, "light-outside", evidence, "saturated lights in primaries that cannot hold them",
+                      "render in ACEScg; of files in ACEScg write EXR first, and pictures of that by --no-denoise "
+                      "(docs/howto/display.md)")
 
 
 def check_unit_range(material: Material) -> Iterator[Finding]:
