@@ -121,7 +121,7 @@ class Pattern:
         return re.compile(name, re.ASCII)
 
     def __str__(self) -> str:
-        return self.prefix + ("" if self.digits is None else "#" * max(self.digits, 1)) + self.suffix
+        return self.prefix + "#" * (self.digits or 0) + self.suffix
 
 
 def _join(folder: str, name: str) -> str:
@@ -250,7 +250,7 @@ def _list_folder(folder: Path) -> list[Path]:
 def _digits(match: re.Match[str]) -> int:
     if match["hash"] or match["at"]:
         return len(match.group())
-    return int(match["printf"] or match["houdini"] or match["angle"] or 1)
+    return max(1, int(match["printf"] or match["houdini"] or match["angle"] or 1))
 
 
 def locate(source: Source) -> tuple[Pattern, list[int] | None]:

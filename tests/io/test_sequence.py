@@ -265,3 +265,27 @@ def test_wildcards_over_thousands_of_levels_fit_nothing(level, tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SequenceError, match="no such file"):
         read_sequence(level * 3000 + "shot.####.exr")
+
+
+@pytest.mark.parametrize("spelling", ["%00d", "$F0", "<F0>"])
+def test_a_number_has_a_digit_at_least(spelling, tmp_path):
+    for name in ("n..exr", "n.7.exr"):
+        (tmp_path / name).touch()
+    pattern = parse_pattern(f"{tmp_path}/n.{spelling}.exr")
+    assert str(pattern).endswith("n.#.exr") and list(pattern.find_frames()) == [7]
+
+
+@pytest.mark.parametrize("text", ["12345678901", "3,12345678901", "\uff11"])
+def test_frames_have_nine_digits_at_most(text):
+    with pytest.raises(SequenceError, match="not a frame range"):
+        parse_frames(text)
+
+
+def test_files_beside_those_of_planes_are_another_sequence(tmp_path):
+    """All sequences of a folder are planes of one picture, or the folder is refused."""
+    for name in ("beauty", "depth", "turntable"):
+        (tmp_path / f"{name}.0001.exr").touch()
+    with pytest.raises(SequenceError, match="holds 3 sequences"):
+        locate(tmp_path)
+    (tmp_path / "turntable.0001.exr").unlink()
+    assert str(locate(tmp_path)[0]) == f"{tmp_path}/{{plane}}.####.exr"
