@@ -288,7 +288,7 @@ def write_container(path: Path, parts: list[NewPart]) -> int:
         if several:
             part.header.set_text("type", part.header.part_type)
             part.header.set("chunkCount", "int", struct.pack("<i", part.count))
-    with path.open("wb", _BUFFER) as file:
+    with path.open("wb") as file:
         file.write(struct.pack("<iI", MAGIC, VERSION | _flags([part.header for part in parts])))
         file.write(b"".join(part.header.pack() for part in parts) + b"\0" * several)
         table = file.tell()
@@ -390,7 +390,6 @@ _KINDS = (oiio.UINT, oiio.HALF, oiio.FLOAT)
 ZIP_LINES = 16
 """Rows of a chunk."""
 _PIECE = 4 << 20  # bytes that are read and compressed at once
-_BUFFER = 1 << 20  # bytes that are written at once: a chunk at a time takes the system a third longer
 Rows = Callable[[int, int], Sequence[np.ndarray]]
 """First row and last row, not included, both counted from the top of the data window -> all channels of these rows in
 the order of the header: arrays (rows, width) of little-endian uint32, float16 or float32."""
