@@ -27,7 +27,6 @@ from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.interpolate import paths
 from postfx.interpolate.blend import compose, is_finite, is_same_plane, join_cells
 from postfx.interpolate.choose import (
-    LUMINANCE,
     MARGIN,
     choose_paths,
     measure_change,
@@ -37,12 +36,14 @@ from postfx.interpolate.choose import (
 )
 from postfx.interpolate.flow import (
     COVERED,
+    bring_to_time,
     consistent_motion,
     enlarge_motion,
     estimate_motion,
     find_overlay,
     halve,
     measure_clearness,
+    middle_light,
     remove_overlay,
     tone_rows,
 )
@@ -103,8 +104,7 @@ class Between:
         self._inverted: list[tuple[Frame, Frame, np.ndarray]] = [] if last is None else [
             one for one in last._inverted if one[0] is before]
         self._options: dict[str, Any] = {"flow": flow, "overlay": overlay, "composited": composited}
-        self._flow, self._overlay = flow, overlay
-        self._composited = composited and self._both_have(Role.OVERLAY)
+        self._flow, self._overlay, self._composited = flow, overlay, composited and self._both_have(Role.OVERLAY)
         self.reason = self._find_reason(is_cut)
 
     def frame(self, t: float, number: int | None = None, previous: float = 0.0) -> Frame:
@@ -212,11 +212,8 @@ class Between:
 
     @cached_property
     def _level(self) -> np.float32:
-        """Light that is toned to about the middle: four times the geometric mean of both pictures."""
-        some = 4 if min(self._size) >= 256 else 1  # of the pixels along a side tell how bright a picture is
-        light = [np.maximum(picture[::some, ::some] @ LUMINANCE, 0) for picture in self._pictures]
-        mean = float(np.mean(light)) + 1e-12
-        return np.float32(4 * math.exp(float(np.mean(np.log(np.stack(light) + np.float32(1e-3 * mean))))))
+        """Light that is toned to about the middle."""
+        return middle_light(self._pictures)
 
     @cached_property
     def _matched(self) -> tuple[np.ndarray, np.ndarray]:
@@ -365,7 +362,10 @@ class Between:
         """What `compose` takes of the cells at a time."""
         _ = self._toned
         (first, last), _, _ = at_once([lambda: self._paths, lambda: self._flows, lambda: self._known], waiting=True)
-        (one, near), (other, far) = at_once([lambda: paths.splat_paths(first, t), lambda: paths.splat_paths(last, t)])
+        (one, near), (other, far), ahead, back = at_once([
+            lambda: paths.splat_paths(first, t), lambda: paths.splat_paths(last, t),
+            lambda: bring_to_time(self._flows[0], first.ends[..., 2:], *self._small, self._scale, t),
+            lambda: bring_to_time(self._flows[1], last.ends[..., :2], *self._small[::-1], self._scale, 1 - t)])
         own = np.empty((*self._grid, 8), np.float32)
         in_bands(len(own), merge_sides, one, near, other, far, np.float32(self._scale), own)
         if any((*self.before.jitter, *self.after.jitter)):
@@ -376,7 +376,7 @@ class Between:
         at_once([lambda: paths.fill_holes(own, np.minimum(near, far)), lambda: self._noise])
         in_bands(len(own), measure_change, one, other, np.float32(self._scale), own)
         cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
-        in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, *self._flows,
+        in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, ahead, back,
                   self._mirrored, first.ends, first.seen, last.ends, last.seen, near, far, first.depth, last.depth, t,
                   self._scale, self._noise, cells)
         in_bands(self._grid[0], join_cells, cells)

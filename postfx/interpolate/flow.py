@@ -9,11 +9,13 @@ their means, so that a change of light does not count.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
-from postfx.kernels.numeric import Real, compiled, inline, vectorised
+from postfx.interpolate.choose import LUMINANCE, SAME
+from postfx.kernels.numeric import Real, compiled, inline, uncounted, vectorised
 from postfx.kernels.vectors import in_lanes
 from postfx.sampling import local_sum
 
@@ -27,6 +29,8 @@ COARSEST = 20
 """Pixels along the shorter side of the smallest picture that is searched."""
 AGREE = np.float32(0.5)
 """Pixels by which the way there and back may miss."""
+BESIDE, OTHERWISE = 3, np.float32(2)
+"""Cells to what is beside a cell in a patch, and by how many cells that must move differently to matter."""
 COVERED = 0.98
 """Coverage from which an overlay hides the picture."""
 FINEST = 1
@@ -54,6 +58,14 @@ def estimate_motion(after: np.ndarray, before: np.ndarray, finest: int = FINEST)
         flow = np.empty((h, w, 2), np.float32)
         spread(padded.ravel(), searched.ravel(), h, w, moved, flow)
     return enlarge_motion(flow, *after.shape)
+
+
+def middle_light(pictures: tuple[np.ndarray, np.ndarray]) -> np.float32:
+    """Light that is toned to about the middle: four times the geometric mean of both pictures."""
+    some = 4 if min(pictures[0].shape[:2]) >= 256 else 1  # of the pixels along a side tell how bright a picture is
+    light = [np.maximum(picture[::some, ::some] @ LUMINANCE, 0) for picture in pictures]
+    mean = float(np.mean(light)) + 1e-12
+    return np.float32(4 * math.exp(float(np.mean(np.log(np.stack(light) + np.float32(1e-3 * mean))))))
 
 
 @vectorised
@@ -341,6 +353,58 @@ def keep_consistent(one: np.ndarray, other: np.ndarray, scale: Real, kept: np.nd
                 back_u, back_v = motion_at(other, v, u)
                 if abs(back_u + one[y, x, 0]) <= most and abs(back_v + one[y, x, 1]) <= most:
                     kept[y, x, 0], kept[y, x, 1] = scale * one[y, x, 0], scale * one[y, x, 1]
+
+
+def bring_to_time(flow: np.ndarray, known: np.ndarray, one: np.ndarray, other: np.ndarray, scale: int, share: float
+                  ) -> np.ndarray:
+    """Flow (rows, columns, 2) of cells after a share of its way, in pixels: a thing's flow is where the thing is then.
+
+    Only what tells something new is moved, away from edges between things that move differently. Where several arrive,
+    that counts whose ends look most alike; where none does, flow stays as it is.
+
+    known: likewise, in cells, motion by planes; NaN where there is none. one, other: grey pictures (rows, columns) of
+    this frame and of the one that flow leads to. scale: pixels of a cell.
+    """
+    brought = flow.copy()
+    if flow.size:
+        move_flow(flow, known, one, other, np.float32(1 / scale), np.float32(share),
+                  np.full(one.shape, 2, np.float32), brought)
+    return brought
+
+
+@inline
+def is_edge(motion: np.ndarray, y: int, x: int) -> bool:
+    """Whether what is beside a cell moves otherwise: patches there show both, and their flow is of neither."""
+    up, low = max(y - BESIDE, 0), min(y + BESIDE, motion.shape[0] - 1)
+    left, right, most = max(x - BESIDE, 0), min(x + BESIDE, motion.shape[1] - 1), np.float32(0)
+    for c in range(2):
+        here = motion[y, x, c]
+        most = max(most, max(max(abs(motion[up, x, c] - here), abs(motion[low, x, c] - here)),
+                             max(abs(motion[y, left, c] - here), abs(motion[y, right, c] - here))))
+    return bool(most > OTHERWISE)
+
+
+@uncounted
+def move_flow(flow: np.ndarray, known: np.ndarray, one: np.ndarray, other: np.ndarray, size: Real, share: Real,
+              least: np.ndarray, brought: np.ndarray) -> None:
+    """The same. size: cells of a pixel. least: (rows, columns), more than pictures differ."""
+    h, w = least.shape
+    half = np.float32(0.5)
+    for y in range(h):
+        for x in range(w):
+            u, v = size * flow[y, x, 0], size * flow[y, x, 1]
+            if u != u or max(abs(u - known[y, x, 0]), abs(v - known[y, x, 1])) < SAME * size:
+                continue
+            if is_edge(known, y, x):
+                continue
+            j, i = y + v + half, x + u + half
+            if not ((j >= 0) & (i >= 0) & (j < np.float32(h)) & (i < np.float32(w))):
+                continue
+            apart = abs(one[y, x] - other[int(j), int(i)])
+            top, left = int(np.floor(y + share * v)), int(np.floor(x + share * u))
+            for b, a in ((top, left), (top, left + 1), (top + 1, left), (top + 1, left + 1)):
+                if (np.uint64(b) < np.uint64(h)) & (np.uint64(a) < np.uint64(w)) and apart < least[b, a]:
+                    least[b, a], brought[b, a, 0], brought[b, a, 1] = apart, flow[y, x, 0], flow[y, x, 1]
 
 
 # Overlays: found in pictures, taken out, and told from pictures without them.

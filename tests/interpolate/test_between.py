@@ -192,6 +192,24 @@ def test_thin_things_are_where_they_are_and_nowhere_else(flow):
     assert {56, 92} <= set(dark) <= {54, 55, 56, 57, 58, 90, 91, 92, 93, 94}
 
 
+def rolled(t: float) -> Frame:
+    """A disc that planes do not know moves by 18 pixels a frame before a wall that stands still."""
+    y, x = np.indices((96, 160), np.float64)
+    u, v = x - 50 - 18 * t, y - 48
+    colour = np.where(np.hypot(u, v) < 10, 4 + 2 * np.sin(0.7 * u) * np.cos(0.6 * v),
+                      1 + 0.3 * np.sin(0.5 * x + 2 * np.sin(0.11 * x)) * np.sin(0.4 * y))
+    planes = {Role.COLOUR: colour[..., None].repeat(3, -1), Role.MOTION: np.zeros((96, 160, 2)),
+              Role.DEPTH: np.full((96, 160, 1), 5)}
+    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=int(t) + 1)
+
+
+def test_what_planes_do_not_know_is_shown_where_its_flow_is_at_the_time():
+    wanted = rolled(0.5)[Role.COLOUR]
+    errors = [np.abs(Between(rolled(0), rolled(1), flow=flow).frame(0.5)[Role.COLOUR] - wanted).mean()
+              for flow in (True, False)]
+    assert errors[0] < 0.09 * errors[1]
+
+
 def railed(t: float, step: float) -> Frame:
     """Bars 18 pixels apart that move by `step` a frame, before a wall that moves by 3."""
     y, x = np.indices((96, 160), np.float64)
