@@ -146,7 +146,7 @@ CHOSEN = (
     ("py", "pixel[c] = max(pixel[c], ZERO)", "pixel[c] = pixel[c]"),
     ("py", "runs_of(columns, w, width, int(window[LEFT])", "runs_of(columns, w, width, int(window[TOP])"),
     ("py", "flat[2 * x] * scale[0], flat", "flat[2 * x] * scale[1], flat"),
-    ("py", "np.int32(width - 6), np.int32(height - 4)", "np.int32(width - 6), np.int32(height - 3)"),
+    ("py", "np.int32(width - 8), np.int32(height - 4)", "np.int32(width - 8), np.int32(height - 3)"),
     ("cuh", "within(top + 3, height)", "within(top + 2, height)"),
     ("cuh", "from_x - part.left", "from_x - part.top"),
     ("py", "right, bottom = np.float32(w) - HALF", "right, bottom = np.float32(w) + HALF"),

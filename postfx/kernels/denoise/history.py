@@ -37,6 +37,7 @@ from postfx.kernels.denoise import (
 )
 from postfx.kernels.denoise.prepare import finite
 from postfx.kernels.numeric import (
+    Eight,
     Four,
     Real,
     add_four,
@@ -182,7 +183,7 @@ NOWHERE = np.int32(-(2**30))
 @compiled
 def runs_of(columns: np.ndarray, size: int, out_size: int, left: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Where the output pixels of each of a part's ``count`` render pixels begin in a row, and after the last one's end
-    (count + 1,); and the first column of those that are made at once, else NOWHERE: of one or two beside each other,
+    (count + 1,); and the first column of those that are made at once, else NOWHERE: of up to three beside each other,
     from which eight numbers lie in the row."""
     begin, first = np.zeros(count + 1, np.int64), np.full(count, NOWHERE, np.int32)
     for x in range(columns.size):
@@ -191,7 +192,7 @@ def runs_of(columns: np.ndarray, size: int, out_size: int, left: int, count: int
     for at in range(count):
         begin[at + 1] += begin[at]
         x, last = begin[at], begin[at + 1] - 1
-        if x <= last <= x + 1 and columns[last] - columns[x] == last - x and x + 2 < columns.size:
+        if x <= last <= x + 2 and columns[last] - columns[x] == last - x and x + 2 < columns.size:
             first[at] = columns[x]
     return begin, first
 
@@ -200,36 +201,42 @@ def runs_of(columns: np.ndarray, size: int, out_size: int, left: int, count: int
 def find_starts(y: int, height: int, width: int, first: np.ndarray, shift: np.ndarray, starts: np.ndarray) -> None:
     """The first number of the taps of a row's pixels in a picture, -1 of those that are made one by one."""
     across, down, one, three = shift[0], shift[1], np.int32(1), np.int32(3)
-    right, bottom, line, row = np.int32(width - 6), np.int32(height - 4), np.int32(3 * width), np.int32(y - 1)
+    right, bottom, line, row = np.int32(width - 8), np.int32(height - 4), np.int32(3 * width), np.int32(y - 1)
     for x in range(starts.size):
         left, top = first[x] + across[x] - one, row + down[x]
         inside = (left >= 0) & (left <= right) & (top >= 0) & (top <= bottom)
         starts[x] = np.int32(top * line + left * three) if inside else -one
 
 
+@fused_inline
+def warp_two(flat: np.ndarray, line: int, start: int, weights: np.ndarray, at: int) -> Eight:
+    """Two neighbours in the render pixel ``at``, whose motion they share, and two numbers: taps begin at ``start``."""
+    eight, second, third = (ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO), start + line, start + line + line
+    total = add_sixteen(eight + eight, load_sixteen(flat, second), weights[1, 1, at])
+    total = add_sixteen(total, load_sixteen(flat, start), weights[1, 0, at])
+    total = add_sixteen(total, load_sixteen(flat, third), weights[1, 2, at])
+    total = add_sixteen(total, load_sixteen(flat, third + line), weights[1, 3, at])
+    return largest_eight(eight, weigh_pixels(total, weights[0, 0, at], weights[0, 1, at], weights[0, 2, at],
+                                             weights[0, 3, at]))
+
+
 @fused
 def warp_most(begin: np.ndarray, starts: np.ndarray, history: np.ndarray, weights: np.ndarray, row: np.ndarray,
               others: np.ndarray) -> int:
-    """The pixels of a row that are not near the picture's edges; ``others`` are those that are left, and their count is
-    the result. Neighbours in one render pixel share their motion, so they are moved as one run of six numbers; two
-    behind them, or five behind a single pixel, are written again with the next ones."""
-    flat, line, pixel = history.reshape(history.size), np.uint64(3 * history.shape[1]), np.uint64(3)
-    second, third, fourth = flat[line:], flat[line + line:], flat[line + line + line:]
-    a, b, c, d = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
-    e, f, g, h = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3]
-    eight = (ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO)
-    sixteen, left = eight + eight, 0
+    """The pixels of a row that are not near the picture's edges; ``others`` are the render pixels of those that are
+    left, and their count is the result. What is written behind a render pixel's own is written again."""
+    flat, line, left, most = history.reshape(history.size), np.uint64(3 * history.shape[1]), 0, 0
     for at in range(starts.size):
         if starts[at] < 0:
             others[left] = at
             left += 1
             continue
-        start, to = np.uint64(starts[at]), np.uint64(begin[at]) * pixel
-        total = add_sixteen(sixteen, load_sixteen(second, start), f[at])
-        total = add_sixteen(total, load_sixteen(flat, start), e[at])
-        total = add_sixteen(total, load_sixteen(third, start), g[at])
-        total = add_sixteen(total, load_sixteen(fourth, start), h[at])
-        store_eight(row, to, largest_eight(eight, weigh_pixels(total, a[at], b[at], c[at], d[at])))
+        store_eight(row, np.uint64(begin[at]) * np.uint64(3), warp_two(flat, line, np.uint64(starts[at]), weights, at))
+        most = max(most, begin[at + 1] - begin[at])
+    for at in range(starts.size if most > 2 else 0):
+        if starts[at] >= 0 and begin[at + 1] - begin[at] > 2:
+            third = row[3 * begin[at] + 6:3 * begin[at] + 9]
+            third[0], third[1], third[2], _, _, _, _, _ = warp_two(flat, line, np.uint64(starts[at] + 6), weights, at)
     return left
 
 
