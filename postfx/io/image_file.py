@@ -78,7 +78,9 @@ class ImageFile:
         self._upright: np.ndarray | None = None  # pixels of a Radiance file that does not store them as they are
         opened = oiio.ImageInput.open(str(self.path))
         if opened is None:
-            raise ReadError(f"{path}: cannot be opened: {reason_of(oiio.geterror)}; write the file again")
+            reason = reason_of(oiio.geterror)
+            fix = "save it as RGB, without luminance and chroma" if "ubsampled" in reason else "write the file again"
+            raise ReadError(f"{path}: cannot be opened: {reason}; {fix}")
         self._input = opened
         self.parts = self._scan()
         if self._radiance:
@@ -229,7 +231,7 @@ def reason_of(fetch: Callable[[], str]) -> str:
         lines = [line for line in fetch().splitlines() if line.strip()]
     except UnicodeDecodeError:
         return "its names are not text"
-    return lines[0].strip() if lines else "unknown reason"
+    return lines[0].strip().rstrip(".") if lines else "unknown reason"
 
 
 # Radiance headers ---------------------------------------------------------------------------------------------------

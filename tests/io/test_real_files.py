@@ -10,7 +10,7 @@ from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.sequence import read_sequence
 
-REFUSED = {"representativeDeepImage.exr": "deep data", "XYZ_YC.exr": "[Ss]ubsampled"}
+REFUSED = {"representativeDeepImage.exr": "deep data", "XYZ_YC.exr": r"[Ss]ubsampled[^;]*[^.;]; save it as RGB"}
 
 
 def warp(plane: np.ndarray, motion: np.ndarray) -> np.ndarray:
