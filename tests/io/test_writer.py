@@ -6,6 +6,7 @@ import numpy as np
 import OpenEXR
 import OpenImageIO as oiio
 import pytest
+from PIL import Image
 
 from postfx.colour import REC709
 from postfx.colour.displays import parse_display, srgb_decode, srgb_encode
@@ -115,6 +116,12 @@ def test_jpeg_is_close(frame, tmp_path):
     frame.encoding = "srgb"
     frame.planes[Role.COLOUR][:] = 0.5
     np.testing.assert_allclose(pixels_of(write_frame(tmp_path / "a.jpg", frame)), 0.5, atol=0.02)
+
+
+def test_jpeg_has_quality_95(frame, tmp_path):
+    """Its first step is 16 in the standard's table of brightness (K.1), of which quality 95 leaves a tenth."""
+    table = Image.open(write_frame(tmp_path / "a.jpg", frame)).quantization[0]
+    assert (table[0], max(table)) == (2, 12)
 
 
 def test_transparent_pictures_keep_alpha(frame, tmp_path):
