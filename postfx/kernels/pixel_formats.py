@@ -442,7 +442,7 @@ _STEP, _BESIDE = 1 << 15, 64  # words that a stream may need beside those of its
 _SMALL = 1 << 16  # bytes of a chunk of which a sample would take too long
 _RUN, _RUNS = 64, 8  # bytes of a sample that lie side by side, and about how many such runs are of a row's half
 _APART, _GAIN, _OFF = 2, 0.98, 0.08
-_SMOOTH = 0.3  # of the bytes: where codes make so little of the upper ones, there are repetitions
+_SMOOTH, _RANDOM = 0.3, 0.97  # where codes make so little of bytes, there are repetitions; so much, none
 
 
 def compress_rows(lines: np.ndarray, top: int) -> bytes | memoryview:
@@ -475,10 +475,12 @@ def _guess_coded(differences: np.ndarray, rows: int) -> int:
         runs = half[:, : half.shape[1] // _RUN * _RUN].reshape(len(half), -1, _RUN)
         step = max(1, runs.shape[1] // _RUNS)
         sample = runs[:, step // 2 :: step].reshape(-1)
-        coded, size = coded + count_coded(sample), size + sample.size
+        found = count_coded(sample)
+        coded, size = coded + found, size + sample.size
         if coded < _SMOOTH * size:
             return 0
-        searched += len(isal_zlib.compress(sample, _LEVEL))
+        is_random = found > _RANDOM * sample.size
+        searched += found if is_random else len(isal_zlib.compress(sample, _LEVEL))
     return coded * differences.size // size if coded < _GAIN * searched else 0
 
 
