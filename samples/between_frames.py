@@ -36,12 +36,13 @@ ALIKE = 0.03  # relative difference in depth of one point in two frames
 
 
 class Gap(NamedTuple):
-    """Two frames, the one after them or None, the picture that was rendered between the two, and the motion from that
-    to the frame before and from the frame after to it."""
+    """Two frames, the one after and the one before them or None, the picture that was rendered between the two, and the
+    motion from that to the frame before and from the frame after to it."""
 
     before: Frame
     after: Frame
     later: Frame | None
+    earlier: Frame | None
     wanted: np.ndarray
     exposure: float
     steps: tuple[np.ndarray, np.ndarray]
@@ -62,7 +63,7 @@ def gaps(folder: Path) -> Iterator[Gap]:
             h, w = wanted.shape[:2]
             back, on = (motion_at(noisy[shown[k] + step][Role.MOTION], np.arange(h), np.arange(w), h, w)
                         for step in (1, 2))
-            yield Gap(before, after, later, wanted, exposure, (back, on))
+            yield Gap(before, after, later, frames[k - 1] if k else None, wanted, exposure, (back, on))
 
 
 def without_middle(noisy: Frame, middle: Frame | None, picture: Frame, first: bool) -> Frame:
@@ -123,7 +124,8 @@ def flicker_of(gap: Gap, shown: np.ndarray, wanted: np.ndarray) -> float:
 
 
 def between(gap: Gap, **options: bool) -> np.ndarray:
-    return postfx.Between(gap.before, gap.after, gap.later, **options).frame(0.5)[Role.COLOUR]
+    last = None if gap.earlier is None else postfx.Between(gap.earlier, gap.before, gap.after, **options)
+    return postfx.Between(gap.before, gap.after, gap.later, last=last, **options).frame(0.5)[Role.COLOUR]
 
 
 METHODS: dict[str, Callable[[Gap], np.ndarray]] = {

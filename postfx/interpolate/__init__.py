@@ -1,15 +1,9 @@
 """Frames between frames: what a sequence shows at times at which no frame was rendered.
 
-    between = postfx.Interpolator()
-    for frame in postfx.read_sequence("shot/clean.####.exr"):
-        between.push(frame)
-        if between.ready:
-            show(between.frame(0.5))
-
 Steps: `paths` lead both frames through the time between them, for cells of a few pixels, and are splatted to the time
 that is asked for; `flow` estimates motion where vectors tell nothing; `choose` decides between the paths that meet, and
 `blend` takes the picture from both frames along them. `timing` says which times, numbers and time codes a sequence
-gets. docs/interpolation.md.
+gets, and how light goes on through four of its frames. docs/interpolation.md.
 """
 
 from __future__ import annotations
@@ -48,7 +42,7 @@ from postfx.interpolate.flow import (
     tone_rows,
 )
 from postfx.interpolate.paths import at_once, in_bands
-from postfx.interpolate.timing import camera_between
+from postfx.interpolate.timing import camera_between, follow_light
 from postfx.temporal.reverse_motion import invert_motion
 
 LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
@@ -81,7 +75,8 @@ class Between:
         overlay: 'mix' or 'hold' (keep the earlier one's) the plane overlay.
         composited: whether the overlay is in the colour, too. It is taken out, and put over the result.
         is_cut: whether another shot begins between the two, as `reset` of the frame after says, too.
-        last: the time before this one, whose findings about frames of both are taken over.
+        last: the time before this one, whose findings about frames of both are taken over. With `later`, too, light
+            that changes where nothing moves goes on through four frames.
 
     Attributes:
         reason: why there is nothing to interpolate, or None: `frame` then gives the nearer one of the two.
@@ -101,6 +96,7 @@ class Between:
         self.before, self.after, self._later = before, after, later
         self._gathered: list[tuple[Frame, Pair]] = [] if last is None else [
             one for one in last._gathered if one[0] is before or one[0] is after]
+        self._earlier = last.before if last is not None and last.after is before else None
         self._inverted: list[tuple[Frame, Frame, np.ndarray]] = [] if last is None else [
             one for one in last._inverted if one[0] is before]
         self._options: dict[str, Any] = {"flow": flow, "overlay": overlay, "composited": composited}
@@ -404,6 +400,8 @@ class Between:
         back = [np.float32((previous - t) * (previous - 1) / t), np.float32(previous * (previous - t) / (1 - t))]
         in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, *self._depths, self._masked,
                   t, self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
+        if self._pictures is self._colours:
+            follow_light((self._earlier, before, after, self._later), t, picture)
         made = _split(mixed, light) | _split(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
         if Role.MOTION in after:

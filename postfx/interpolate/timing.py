@@ -1,4 +1,5 @@
-"""Which frames a sequence gets when frames are put between its own: times, numbers, frame rate, time code and camera.
+"""Which frames a sequence gets when frames are put between its own: times, numbers, frame rate, time code and camera;
+and the course of light through the frames around a time.
 
 Time codes are those of SMPTE ST 12-1 as OpenEXR stores them: hours, minutes, seconds and frames as decimal digits of 4
 bits in one word. Above 30 frames a second, frames are counted in pairs and a bit tells the second one of a pair.
@@ -15,10 +16,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from postfx.errors import OptionError
+from postfx.frame import Frame, Role
+from postfx.interpolate.choose import STILL
+from postfx.interpolate.paths import ALIKE, in_bands
+from postfx.kernels.numeric import Real, uncounted
 
 _DROP, _FIELD = 1 << 6, 1 << 15
 _PLACES = ((24, 30), (16, 23), (8, 15), (0, 6))
 """First and last bit of hours, minutes, seconds and frames."""
+STEADY, MEAN = np.float32(8), np.float32(0.1)
+"""How many times as bright light may become in four frames to be the same, and by how much of it a pixel may differ
+from the mean of both frames."""
 MOST_RATE = 60
 """Frames a second that a time code can count."""
 
@@ -207,3 +215,53 @@ def camera_between(one: np.ndarray | None, other: np.ndarray | None, t: float) -
     except np.linalg.LinAlgError:
         return None
     return found
+
+
+def follow_light(frames: Sequence[Frame | None], t: float, picture: np.ndarray) -> None:
+    """Lead light through four frames, a frame apart, where nothing moves: at time t between the middle two, in place.
+
+    Lagrange's cubic, within what the middle two show. It is left out where a frame is missing or has no depth or no
+    motion, a shot begins, or sizes differ. picture: (h, w, 3) of that time.
+    """
+    if any(one is None or Role.COLOUR not in one or one[Role.COLOUR].shape != picture.shape or
+           Role.DEPTH not in one or (k > 0 and (one.reset or Role.MOTION not in one)) for k, one in enumerate(frames)):
+        return
+    known = [one for one in frames if one is not None]
+    motions, depths = [one[Role.MOTION] for one in known[1:]], [one[Role.DEPTH] for one in known]
+    if any(plane.shape[:2] != picture.shape[:2] for plane in (*motions, *depths)) or \
+            not (np.abs(motions[1][::8, ::8]).max(-1) < STILL).any():
+        return
+    shares = (-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2, -t * (t + 1) * (t - 2) / 2,
+              t * (t + 1) * (t - 1) / 6)
+    in_bands(len(picture), curve_rows, *(np.ascontiguousarray(one[Role.COLOUR], np.float32) for one in known),
+             *(np.ascontiguousarray(plane, np.float32) for plane in (*motions, *depths)),
+             tuple(np.float32(share) for share in shares), np.float32(t), picture)
+
+
+@uncounted
+def curve_rows(y0: int, y1: int, earlier: np.ndarray, before: np.ndarray, after: np.ndarray, later: np.ndarray,
+               came: np.ndarray, motion: np.ndarray, goes: np.ndarray, far_earlier: np.ndarray, far_before: np.ndarray,
+               far_after: np.ndarray, far_later: np.ndarray, shares: tuple[Real, ...], t: Real, picture: np.ndarray
+               ) -> None:
+    """The same of pixels that show one surface and are the mean of both frames."""
+    zero = np.float32(0)
+    for y in range(y0, y1):
+        for x in range(picture.shape[1]):
+            way = max(abs(came[y, x, 0]), abs(came[y, x, 1]))
+            way = max(way, max(abs(motion[y, x, 0]), abs(motion[y, x, 1])))
+            if not max(way, max(abs(goes[y, x, 0]), abs(goes[y, x, 1]))) < STILL:
+                continue
+            p, q, r, s = far_earlier[y, x, 0], far_before[y, x, 0], far_after[y, x, 0], far_later[y, x, 0]
+            if not max(max(p, q), max(r, s)) - min(min(p, q), min(r, s)) <= ALIKE * q:  # something was in front
+                continue
+            p, q, r, s, apart = zero, zero, zero, zero, zero
+            for c in range(3):
+                p, q, r, s = p + earlier[y, x, c], q + before[y, x, c], r + after[y, x, c], s + later[y, x, c]
+                apart += abs(picture[y, x, c] - before[y, x, c] - t * (after[y, x, c] - before[y, x, c]))
+            low, high = min(min(p, q), min(r, s)), max(max(p, q), max(r, s))
+            if not ((high <= STEADY * low) & (apart <= MEAN * low)):
+                continue
+            for c in range(3):
+                one, other = before[y, x, c], after[y, x, c]
+                light = shares[0] * earlier[y, x, c] + shares[1] * one + shares[2] * other + shares[3] * later[y, x, c]
+                picture[y, x, c] = min(max(light, min(one, other)), max(one, other))

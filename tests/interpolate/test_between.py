@@ -192,6 +192,29 @@ def test_thin_things_are_where_they_are_and_nowhere_else(flow):
     assert {56, 92} <= set(dark) <= {54, 55, 56, 57, 58, 90, 91, 92, 93, 94}
 
 
+def lit(t: float, spark: bool = False) -> Frame:
+    """A wall that stands still, over which light swings."""
+    y, x = np.indices((64, 96), np.float64)
+    colour = (1.5 + 0.5 * np.sin(0.3 * x)) * (1.5 + np.sin(0.9 * t + 0.05 * y))
+    colour[30:33, 40:43] *= 500 if spark else 1
+    planes = {Role.COLOUR: colour[..., None].repeat(3, -1), Role.MOTION: np.zeros((64, 96, 2)),
+              Role.DEPTH: np.full((64, 96, 1), 5)}
+    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=int(t) + 2)
+
+
+def test_light_goes_on_through_four_frames_where_nothing_moves():
+    """Within what the middle two show, and not by what flashed up beside them."""
+    frames = [lit(t) for t in range(-1, 3)]
+    wanted = lit(0.25)[Role.COLOUR]
+    alone = Between(*frames[1:3]).frame(0.25)[Role.COLOUR]
+    found = Between(*frames[1:], last=Between(*frames[:2])).frame(0.25)[Role.COLOUR]
+    held = wanted.clip(np.minimum(*(frame[Role.COLOUR] for frame in frames[1:3])),
+                       np.maximum(*(frame[Role.COLOUR] for frame in frames[1:3])))
+    assert np.abs(found - held).mean() < 0.25 * np.abs(alone - held).mean()
+    flashed = Between(*frames[1:], last=Between(lit(-1, True), frames[1])).frame(0.25)[Role.COLOUR]
+    np.testing.assert_array_equal(flashed[30:33, 40:43], alone[30:33, 40:43])
+
+
 def rolled(t: float) -> Frame:
     """A disc that planes do not know moves by 18 pixels a frame before a wall that stands still."""
     y, x = np.indices((96, 160), np.float64)
