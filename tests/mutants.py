@@ -107,7 +107,7 @@ ROOMS = (
     _room("io/masks.py", 1, *_in("io", "masks")),
     _room("io/convert.py", 1, *_in("io", "convert_depth", "frame_reader"), "files/test_profiles.py"),
     _room("io/pattern.py", 9, *_in("io", "sequence"), *_in("files", "paths")),
-    _room("io/sequence.py", 5, *_in("io", "sequence", "frame_reader_guides", "parts", "views"),
+    _room("io/sequence.py", 5, *_in("io", "sequence", "frame_reader_guides", "parts", "views", "estimated_motion"),
           *_in("files", "broken")),
     _room("io/writer.py", 7, *_in("io", "writer", "encode_tags", "parts", "views"),
           *_in("files", "paths", "whole_or_nothing")),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -141,6 +142,19 @@ def test_a_sequence_estimates_motion_whatever_was_read_before(walk: str) -> None
     assert Role.MOTION not in Sequence(walk).read(3)
     with pytest.raises(SequenceError, match="motion 'guess': give auto, file or estimate"):
         Sequence(walk, motion="guess")
+
+
+def test_a_frame_that_is_written_again_is_looked_at_again(walk: str) -> None:
+    """As by a renderer, while `postfx watch` shows the frames."""
+    shot, folder = Sequence(walk, motion="auto"), Path(walk).parent
+    shot.read(2)
+    first = shot.read(3)[Role.MOTION]
+    shot.read(2)
+    shutil.copy(folder / "in.0001.exr", folder / "in.0002.exr")
+    shot.look_again(1)
+    again = shot.read(3)[Role.MOTION]
+    np.testing.assert_array_equal(again, Sequence(walk, motion="auto").read(3)[Role.MOTION])
+    assert not np.array_equal(again, first)
 
 
 def test_zeros_in_files_are_replaced_where_the_planes_move(walk: str) -> None:
