@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postfx.runtime import BindingError, CommandError, HazardError
-from tests.runtime.test_hazards import record
+from tests.runtime.test_hazards import BOTH, record
 
 
 class Steps:
@@ -126,6 +126,15 @@ def test_upload_after_recording_would_change_what_was_recorded(steps, ones):
         steps.x.upload(ones)
     steps.commands.discard()
     steps.x.upload(ones)
+
+
+def test_upload_to_what_one_of_many_commands_uses(bench, ones):
+    x, y, z = bench.tensor("x", True), bench.tensor("y"), bench.tensor("z")
+    commands = record(bench, ("scale", bench.double(x, y)), ("again", bench.double(y, z)), barrier=(BOTH, BOTH))
+    with pytest.raises(HazardError, match="while 'scale' .* uses it"):
+        x.upload(ones)
+    commands.discard()
+    x.upload(ones)
 
 
 def test_buffers_that_are_dropped_do_not_block_uploads(steps, ones):
