@@ -359,8 +359,8 @@ def bring_to_time(flow: np.ndarray, known: np.ndarray, one: np.ndarray, other: n
                   ) -> np.ndarray:
     """Flow (rows, columns, 2) of cells after a share of its way, in pixels: a thing's flow is where the thing is then.
 
-    Only what tells something new is moved, away from edges between things that move differently. Where several arrive,
-    that counts whose ends look most alike; where none does, flow stays as it is.
+    What planes tell, too, is left out (NaN). The rest is moved, away from edges between things that move differently.
+    Where several arrive, that counts whose ends look most alike; where none does, flow stays as it is.
 
     known: likewise, in cells, motion by planes; NaN where there is none. one, other: grey pictures (rows, columns) of
     this frame and of the one that flow leads to. scale: pixels of a cell.
@@ -393,7 +393,11 @@ def move_flow(flow: np.ndarray, known: np.ndarray, one: np.ndarray, other: np.nd
     for y in range(h):
         for x in range(w):
             u, v = size * flow[y, x, 0], size * flow[y, x, 1]
-            if u != u or max(abs(u - known[y, x, 0]), abs(v - known[y, x, 1])) < SAME * size:
+            if u != u:
+                continue
+            if max(abs(u - known[y, x, 0]), abs(v - known[y, x, 1])) < SAME * size:
+                if least[y, x] > 1:
+                    brought[y, x, 0] = np.float32(np.nan)
                 continue
             if is_edge(known, y, x):
                 continue

@@ -156,10 +156,10 @@ def test_motion_that_changes_from_pixel_to_pixel_is_found_in_any_direction():
 
 def test_flow_is_moved_along_itself_where_planes_do_not_know_of_it():
     """By half of its way, from cells of 2x2 pixels; where two arrive, the one whose ends look alike counts."""
-    flow_, known = np.zeros((12, 12, 2), np.float32), np.zeros((12, 12, 2), np.float32)
+    flow_, known = np.full((12, 12, 2), np.nan, np.float32), np.zeros((12, 12, 2), np.float32)
     one, other = np.zeros((2, 12, 12), np.float32)
     flow_[1, 2], flow_[1, 8], flow_[6, 3], known[6, 3] = (12, 8), (-12, 8), (8, 0), (4, 0)
     one[1, 8], other[5, 2] = 0.5, 0.1
     brought = flow.bring_to_time(flow_, known, one, other, 2, 0.5)
-    flow_[3:5, 5:7] = flow_[1, 2]  # the four cells around the place
+    flow_[3:5, 5:7], flow_[6, 3, 0] = flow_[1, 2], np.nan  # the four cells around the place; what planes tell
     np.testing.assert_array_equal(brought, flow_)
