@@ -172,6 +172,52 @@ def divide(row: np.ndarray, total: np.ndarray) -> None:
         row[x] /= total[x]
 
 
+@vectorised
+def between(upper: np.ndarray, lower: np.ndarray, share: Real, scale: Real, out: np.ndarray) -> None:
+    """Linear interpolation of two rows, scaled."""
+    for x in range(out.size):
+        out[x] = (upper[x] + (lower[x] - upper[x]) * share) * scale
+
+
+@vectorised
+def weigh_three(a: np.ndarray, b: np.ndarray, c: np.ndarray, u: Real, v: Real, w: Real, out: np.ndarray) -> None:
+    """a * u + b * v + c * w, over the length of ``out``."""
+    for x in range(out.size):
+        out[x] = a[x] * u + b[x] * v + c[x] * w
+
+
+@vectorised
+def weigh_picked(row: np.ndarray, weights: np.ndarray, index: np.ndarray, out: np.ndarray) -> None:
+    """Three neighbours of a row, beginning at ``index``, by weights (3, width)."""
+    for x in range(index.size):
+        at = index[x]
+        out[x] = row[at] * weights[0, x] + row[at + 1] * weights[1, x] + row[at + 2] * weights[2, x]
+
+
+@vectorised
+def place(row: np.ndarray, first: int, step: int, flat: np.ndarray) -> None:
+    """Spread a row over an interleaved one."""
+    for x in range(row.size):
+        flat[first + step * x] = row[x]
+
+
+@vectorised
+def interleave(even: np.ndarray, odd: np.ndarray, flat: np.ndarray) -> None:
+    """Rows of the red, green and blue of even pixels, and of odd ones, as one row of pixels."""
+    a, b, c, d, e, f = even[0], even[1], even[2], odd[0], odd[1], odd[2]
+    for x in range(a.size):
+        flat[6 * x], flat[6 * x + 1], flat[6 * x + 2] = a[x], b[x], c[x]
+        flat[6 * x + 3], flat[6 * x + 4], flat[6 * x + 5] = d[x], e[x], f[x]
+
+
+@vectorised
+def repeat_three(even: np.ndarray, odd: np.ndarray, flat: np.ndarray) -> None:
+    """A number of each even and of each odd pixel, for each of its three channels."""
+    for x in range(even.size):
+        flat[6 * x] = flat[6 * x + 1] = flat[6 * x + 2] = even[x]
+        flat[6 * x + 3] = flat[6 * x + 4] = flat[6 * x + 5] = odd[x]
+
+
 # Four or eight numbers in one instruction, which Numba's compiler does not find by itself where code jumps from pixel
 # to pixel, or where loops are over many arrays.
 

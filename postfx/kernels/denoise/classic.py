@@ -38,8 +38,21 @@ from postfx.kernels.denoise import (
 )
 from postfx.kernels.denoise.features import PLACES, locate_row, recall_row
 from postfx.kernels.denoise.history import kept_row
-from postfx.kernels.denoise.upsample import gauss, pixel_of, place, weigh_picked, weigh_three
-from postfx.kernels.numeric import Real, add, clamp, compiled, demodulation, exp, expm1, fused, log_encode
+from postfx.kernels.denoise.upsample import gauss, pixel_of
+from postfx.kernels.numeric import (
+    Real,
+    add,
+    clamp,
+    compiled,
+    demodulation,
+    exp,
+    expm1,
+    fused,
+    log_encode,
+    place,
+    weigh_picked,
+    weigh_three,
+)
 
 ZERO, QUARTER, HALF, ONE, FOUR = np.float32(0), np.float32(0.25), np.float32(0.5), np.float32(1), np.float32(4)
 STEPS = (1, 2, 4, 8, 16)

@@ -40,14 +40,20 @@ from postfx.kernels.denoise.history import kept_row
 from postfx.kernels.denoise.network_io import Coded, open_fine_codes, room_for_codes
 from postfx.kernels.numeric import (
     Real,
+    between,
     centre,
     compiled,
     demodulation,
     expm1,
     fused,
     inline,
+    interleave,
     log_encode,
+    place,
+    repeat_three,
     vectorised,
+    weigh_picked,
+    weigh_three,
 )
 from postfx.kernels.vectors import in_lanes
 
@@ -101,33 +107,11 @@ def is_inside(px: Real, py: Real, width: Real, height: Real) -> Real:
 
 
 @vectorised
-def between(upper: np.ndarray, lower: np.ndarray, share: Real, scale: Real, out: np.ndarray) -> None:
-    """Linear interpolation of two rows, scaled."""
-    for x in range(out.size):
-        out[x] = (upper[x] + (lower[x] - upper[x]) * share) * scale
-
-
-@vectorised
 def lean_on(corners: np.ndarray, index: np.ndarray, leans: np.ndarray, out: np.ndarray) -> None:
     """Linear interpolation between the left and right corners of the pixels at ``index``."""
     for x in range(index.size):
         at = index[x]
         out[x] = corners[0, at] + (corners[1, at] - corners[0, at]) * leans[x]
-
-
-@vectorised
-def weigh_three(a: np.ndarray, b: np.ndarray, c: np.ndarray, u: Real, v: Real, w: Real, out: np.ndarray) -> None:
-    """a * u + b * v + c * w, over the length of ``out``."""
-    for x in range(out.size):
-        out[x] = a[x] * u + b[x] * v + c[x] * w
-
-
-@vectorised
-def weigh_picked(row: np.ndarray, weights: np.ndarray, index: np.ndarray, out: np.ndarray) -> None:
-    """Three neighbours of a row, beginning at ``index``, by weights (3, width)."""
-    for x in range(index.size):
-        at = index[x]
-        out[x] = row[at] * weights[0, x] + row[at + 1] * weights[1, x] + row[at + 2] * weights[2, x]
 
 
 @vectorised
@@ -149,30 +133,6 @@ def encode_sharp(row: np.ndarray, total: np.ndarray, soft: np.ndarray, sharpen: 
         row[x] = log_encode(row[x] / total[x])
     for x in range(total.size):
         row[x] = max(row[x] + sharpen[x] * (row[x] - log_encode(soft[x])), ZERO)
-
-
-@vectorised
-def place(row: np.ndarray, first: int, step: int, flat: np.ndarray) -> None:
-    """Spread a row over an interleaved one."""
-    for x in range(row.size):
-        flat[first + step * x] = row[x]
-
-
-@vectorised
-def interleave(even: np.ndarray, odd: np.ndarray, flat: np.ndarray) -> None:
-    """Rows of the red, green and blue of even pixels, and of odd ones, as one row of pixels."""
-    a, b, c, d, e, f = even[0], even[1], even[2], odd[0], odd[1], odd[2]
-    for x in range(a.size):
-        flat[6 * x], flat[6 * x + 1], flat[6 * x + 2] = a[x], b[x], c[x]
-        flat[6 * x + 3], flat[6 * x + 4], flat[6 * x + 5] = d[x], e[x], f[x]
-
-
-@vectorised
-def repeat_three(even: np.ndarray, odd: np.ndarray, flat: np.ndarray) -> None:
-    """A number of each even and of each odd pixel, for each of its three channels."""
-    for x in range(even.size):
-        flat[6 * x] = flat[6 * x + 1] = flat[6 * x + 2] = even[x]
-        flat[6 * x + 3] = flat[6 * x + 4] = flat[6 * x + 5] = odd[x]
 
 
 TAPS = 9
