@@ -16,10 +16,9 @@ from postfx.kernels.denoise import HIDDEN
 from postfx.kernels.denoise.history import SPREAD_MASK
 from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.kernels.denoise.prepare import SCALE
+from postfx.passes.denoise.graph import ClassicGraph, Layer, LayerGraph
 from postfx.passes.denoise.history import History, PartHistory, Reflections, can_follow
-from postfx.passes.denoise.layers import Layer, LayerGraph
 from postfx.passes.denoise.models import CLASSIC, grid_of
-from postfx.passes.denoise.network import ClassicGraph
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.parts import Layers
 from postfx.passes.denoise.planes import Passthrough, Plain, Planes, Reactive, Restore, Strength

@@ -12,6 +12,7 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise import EXPOSURE, GAIN, JITTER_X, MAX_COLOUR
 from postfx.kernels.denoise.parts import BALANCE, DECODE, DECODE_ONE
 from postfx.passes import ResidentFrame
+from postfx.passes.denoise.graph import Layer
 from postfx.passes.denoise.history import (
     ALPHA_LAYER,
     FACTOR,
@@ -23,7 +24,6 @@ from postfx.passes.denoise.history import (
     places_of,
     some_of,
 )
-from postfx.passes.denoise.layers import Layer
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.planes import ABSENT, Alpha, Resampler, Restore, Strength, absent_plane, three_by_three
 from postfx.passes.denoise.tiling import Rows
