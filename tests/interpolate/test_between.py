@@ -10,6 +10,7 @@ import pytest
 from postfx import Between, Interpolator
 from postfx.errors import FrameError
 from postfx.frame import Frame, PartSource, Role
+from postfx.interpolate import paths
 from postfx.interpolate.flow import find_overlay
 from tests.interpolate.conftest import DISC, HEIGHT, RADIUS, SIZE, WIDTH, picture
 
@@ -200,6 +201,18 @@ def lit(t: float, spark: bool = False) -> Frame:
     planes = {Role.COLOUR: colour[..., None].repeat(3, -1), Role.MOTION: np.zeros((64, 96, 2)),
               Role.DEPTH: np.full((64, 96, 1), 5)}
     return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=int(t) + 2)
+
+
+def test_what_was_gathered_of_a_frame_serves_the_next_pair(monkeypatch):
+    """And is let go with the frame."""
+    frames, gathered, gather = [lit(t) for t in range(3)], [], paths.gather_cells
+    monkeypatch.setattr(paths, "gather_cells", lambda motion, *more: gathered.append(motion) or gather(motion, *more))
+    first = Between(*frames[:2])
+    first.frame(0.5)
+    once = len(gathered)
+    second = Between(*frames[1:], last=first)
+    second.frame(0.5)
+    assert once == 2 and len(gathered) == 3 and all(frame is not frames[0] for frame, _ in second._gathered)
 
 
 def test_light_goes_on_through_four_frames_where_nothing_moves():
