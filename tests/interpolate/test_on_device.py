@@ -102,6 +102,18 @@ def test_the_same_frames_as_on_the_cpu(emulated: Device, size: tuple[int, int]) 
     follow(emulated, [turning(size, 0.15, number) for number in range(1, 4)], 0.3, -0.2)
 
 
+def test_a_frame_stays_until_the_second_call_after(emulated: Device, scene: Scene) -> None:
+    stream = DeviceInterpolator(emulated)
+    for number in range(2):
+        stream.push(planes_of(scene(number)))
+    first = stream.frame(0.25)[Role.COLOUR]
+    held = first.download()
+    second = stream.frame(0.75)[Role.COLOUR].download()
+    np.testing.assert_array_equal(first.download(), held)
+    assert not np.array_equal(second, held)
+    assert np.array_equal(stream.frame(0.5)[Role.COLOUR].download(), first.download()), "the place of the first"
+
+
 def test_what_is_not_finite_is_black_and_harmless(emulated: Device, scene: Scene) -> None:
     frames = [scene(0), scene(1)]
     for frame in frames:
