@@ -25,7 +25,6 @@ import numpy as np
 from postfx import kernels
 from postfx.kernels import native
 from postfx.kernels.native import FOLDER, LEVELS, Kinds, digest_of_sources
-from postfx.kernels.pixel_formats import count_coded, pack_bytes
 from postfx.kernels.statistics import copy_pieces
 
 ROOT = Path(__file__).resolve().parent
@@ -143,8 +142,6 @@ def record(folder: str) -> Wanted:
                                                    for kind, shape in shapes)))
     # Results of the sample are too small for these.
     note(copy_pieces, ("q", "q", "<u4:1", "<u4:1"))
-    note(count_coded, ("|u1:1",))
-    note(pack_bytes, ("|u1:1", "q", "<u4:1"))
     Dispatcher._compile_for_args, states.compile_rows = called, prepared
     for line in COMMANDS.strip().splitlines():
         words = line.format(sample=ROOT / "samples/room/noisy.####.exr", out=folder)

@@ -6,7 +6,6 @@ On the host: one walk over the picture where NumPy makes several.
 from __future__ import annotations
 
 import struct
-from typing import TypeAlias
 
 import deflate
 import numpy as np
@@ -231,257 +230,20 @@ def dither_rows(codes: np.ndarray, top: Real, thresholds: np.ndarray, output: np
                 value = value if value < ONE else ONE
                 found[i] = np.uint8(np.int32(value * top + row[i]))
 
-# DEFLATE of bytes without repetitions (RFC 1950, 1951) ---------------------------------------------------------------
-
-LONGEST = 14
-"""Bits of a code at most: two of them fit beside 31 bits that are not yet written."""
-END, STORED = 256, 65535
-"""The symbol that ends a block, and bytes that a block without codes may have."""
-HEAD_BITS = 17 + 3 * 19 + 4 * (END + 1 + 2)
-"""Before a block's codes: its kind, the lengths of the codes for lengths of codes, and these of 257 symbols and two
-distances that it does not use. Lengths from 0 to 15 have a code of four bits each, repetitions of them none."""
-FIVE, WORD, CODE = np.uint64(5), np.uint64(16), np.uint64(0xFFFF)
-Bits: TypeAlias = tuple[Real, Real, Real]
-"""Where words go on, the bits that are not yet written, and how many."""
-
-
-@compiled
-def count_bytes(data: np.ndarray, counts: np.ndarray) -> None:
-    """counts (257,) int64 = how often each byte is in data (n,) uint8, and once the end of a block."""
-    some = np.zeros((4, END), np.uint32)  # neighbours are often alike, and a sum waits for the last one in its place
-    fours = data.size // 4
-    for i in range(fours):
-        for k in range(4):
-            some[k, data[4 * i + k]] += np.uint32(1)
-    for i in range(4 * fours, data.size):
-        some[0, data[i]] += np.uint32(1)
-    for symbol in range(END):
-        counts[symbol] = np.int64(some[0, symbol]) + some[1, symbol] + some[2, symbol] + some[3, symbol]
-    counts[END] = 1
-
-
-@compiled
-def sort(keys: np.ndarray) -> None:
-    """Sort some hundred keys in their place (Shell, "A high-speed sorting procedure", 1959): NumPy's sort makes lists,
-    which kernels that come compiled cannot."""
-    for gap in (57, 23, 10, 4, 1):
-        for i in range(gap, keys.size):
-            key, place = keys[i], i
-            while place >= gap and keys[place - gap] > key:
-                keys[place] = keys[place - gap]
-                place -= gap
-            keys[place] = key
-
-
-@compiled
-def find_lengths(counts: np.ndarray, lengths: np.ndarray) -> int:
-    """lengths (n,) int64 = bits of the Huffman codes of symbols that occur `counts` (n,) int64 times, 0 for those that
-    do not; at least two must. Returns the bits of all together.
-
-    Moffat and Katajainen, "In-place calculation of minimum-redundancy codes", 1995. Where codes would be longer than
-    LONGEST, others become longer in their place.
-    """
-    keys, count = np.empty(counts.size, np.int64), 0
-    for symbol in range(counts.size):
-        if counts[symbol] > 0:
-            keys[count] = counts[symbol] << 9 | symbol
-            count += 1
-    keys = keys[:count]
-    sort(keys)
-    nodes, leaf, root = keys >> 9, 0, 0
-    for i in range(count - 1):  # an inner node of the two that are the rarest so far
-        weight = 0
-        for _ in range(2):
-            if leaf == count or (root < i and nodes[root] < nodes[leaf]):
-                weight += nodes[root]
-                nodes[root] = i
-                root += 1
-            else:
-                weight += nodes[leaf]
-                leaf += 1
-        nodes[i] = weight
-    nodes[count - 2] = 0
-    for i in range(count - 3, -1, -1):
-        nodes[i] = nodes[nodes[i]] + 1
-    numbers = np.zeros(LONGEST + 1, np.int64)  # of codes by their length
-    inner, free, depth = count - 2, 1, 0
-    while free > 0:
-        used = 0
-        while inner >= 0 and nodes[inner] == depth:
-            used += 1
-            inner -= 1
-        numbers[min(depth, LONGEST)] += free - used
-        free = 2 * used
-        depth += 1
-    excess = -(1 << LONGEST)
-    for length in range(1, LONGEST + 1):
-        excess += numbers[length] << (LONGEST - length)
-    for _ in range(excess):
-        length = LONGEST - 1
-        while numbers[length] == 0:
-            length -= 1
-        numbers[length] -= 1
-        numbers[length + 1] += 2
-        numbers[LONGEST] -= 1
-    total = 0
-    lengths[:] = 0
-    for length in range(1, LONGEST + 1):
-        for _ in range(numbers[length]):
-            count -= 1
-            lengths[keys[count] & 0x1FF] = length
-            total += length * (keys[count] >> 9)
-    return total
-
-
-@compiled
-def make_codes(lengths: np.ndarray, codes: np.ndarray) -> None:
-    """codes (n,) uint64 = the symbols' codes by their lengths (RFC 1951, 3.2.2), the first bit lowest, and from bit 16
-    on their lengths."""
-    following = np.zeros(LONGEST + 2, np.int64)
-    for length in lengths:
-        following[length + 1] += length > 0
-    for length in range(1, LONGEST + 1):
-        following[length] = (following[length] + following[length - 1]) << 1
-    for symbol in range(lengths.size):
-        length = lengths[symbol]
-        code, turned = following[length], np.uint64(0)
-        following[length] += 1
-        for k in range(length):
-            turned |= np.uint64((code >> k) & 1) << np.uint64(length - 1 - k)
-        codes[symbol] = turned | np.uint64(length) << WORD
-
-
-@compiled
-def put(words: np.ndarray, at: Real, held: Real, count: Real, bits: Real, more: Real) -> Bits:
-    """Write `more` bits, at most 32, behind the `count` that are held, of which those are written that fill a word."""
-    held |= np.uint64(bits) << count
-    count += np.uint64(more)
-    words[at] = np.uint32(held)
-    full = count >> FIVE
-    return at + np.int64(full), held >> (full << FIVE), count - (full << FIVE)
-
-
-@compiled
-def put_coded(words: np.ndarray, at: Real, held: Real, count: Real, data: np.ndarray, lengths: np.ndarray, last: int
-              ) -> Bits:
-    """Write a block of bytes `data` as codes of these lengths."""
-    codes = np.empty(lengths.size, np.uint64)
-    make_codes(lengths, codes)
-    at, held, count = put(words, at, held, count, last | 0b1111_00001_00000_10 << 1, 17)
-    for k in range(19):  # those of repetitions are the first
-        at, held, count = put(words, at, held, count, 4 * (k > 2), 3)
-    for k in range(lengths.size + 2):
-        length = lengths[k] if k < lengths.size else 1
-        turned = (length & 1) << 3 | (length & 2) << 1 | (length & 4) >> 1 | length >> 3
-        at, held, count = put(words, at, held, count, turned, 4)
-    for i in range(data.size // 2):
-        one, other = codes[data[2 * i]], codes[data[2 * i + 1]]
-        both = (one & CODE) | (other & CODE) << (one >> WORD)
-        at, held, count = put(words, at, held, count, both, (one >> WORD) + (other >> WORD))
-    if data.size % 2:
-        code = codes[data[data.size - 1]]
-        at, held, count = put(words, at, held, count, code & CODE, code >> WORD)
-    end: Bits = put(words, at, held, count, codes[END] & CODE, codes[END] >> WORD)
-    return end
-
-
-@compiled
-def put_stored(words: np.ndarray, at: Real, held: Real, count: Real, data: np.ndarray, last: int) -> Bits:
-    """Write bytes `data` as they are, in blocks."""
-    for first in range(0, data.size, STORED):
-        some = data[first : first + STORED]
-        at, held, count = put(words, at, held, count, last * (first + STORED >= data.size), 3)
-        at, held, count = put(words, at, held, count, 0, -count & np.uint64(7))
-        at, held, count = put(words, at, held, count, some.size | (some.size ^ STORED) << 16, 32)
-        words[at], place = np.uint32(held), 4 * at + np.int64(count >> np.uint64(3))
-        words.view(np.uint8)[place : place + some.size] = some
-        place += some.size
-        at, count = place // 4, np.uint64(8 * (place % 4))
-        held = np.uint64(words[at]) & ((np.uint64(1) << count) - np.uint64(1))
-    return at, held, count
-
-
-@compiled
-def pack_bytes(plain: np.ndarray, check: int, words: np.ndarray) -> int:
-    """words (m,) uint32 = bytes `plain` (n,) uint8 as a stream of zlib's, without a search for repetitions: each half
-    as codes of its own, or as it is where that is not longer. Returns its bytes.
-
-    check: Adler-32 of the bytes; m: at least n / 4 + n / 32768 + 62.
-    """
-    counts, lengths = np.empty(END + 1, np.int64), np.empty(END + 1, np.int64)
-    at, held, count = put(words, 0, np.uint64(0), np.uint64(0), 0x0178, 16)
-    middle = plain.size // 2
-    for last in range(2):
-        half = plain[middle:] if last else plain[:middle]
-        count_bytes(half, counts)
-        if find_lengths(counts, lengths) + HEAD_BITS < 8 * half.size:
-            at, held, count = put_coded(words, at, held, count, half, lengths, last)
-        else:
-            at, held, count = put_stored(words, at, held, count, half, last)
-    at, held, count = put(words, at, held, count, 0, -count & np.uint64(7))
-    turned = (check & 0xFF) << 24 | (check & 0xFF00) << 8 | (check >> 8) & 0xFF00 | check >> 24
-    at, held, count = put(words, at, held, count, turned, 32)
-    words[at] = np.uint32(held)
-    size: int = 4 * at + np.int64(count >> np.uint64(3))
-    return size
-
-
-@compiled
-def count_coded(data: np.ndarray) -> int:
-    """Bytes that the codes of bytes `data` (n,) uint8 take together."""
-    counts, lengths = np.empty(END + 1, np.int64), np.empty(END + 1, np.int64)
-    count_bytes(data, counts)
-    size: int = find_lengths(counts, lengths) // 8
-    return size
-
 
 # A chunk of OpenEXR's ZIP --------------------------------------------------------------------------------------------
 
 _LEVEL = 1  # of ISA-L: a fifth of the time of OpenEXR's level 4 for 6 % more bytes
-_STEP, _BESIDE = 1 << 15, 64  # words that a stream may need beside those of its bytes: one for so many, and these
-_SMALL = 1 << 16  # bytes of a chunk of which a sample would take too long
-_RUN, _RUNS = 64, 8  # bytes of a sample that lie side by side, and about how many such runs are of a row's half
-_APART, _GAIN, _OFF = 2, 0.98, 0.08
-_SMOOTH, _RANDOM = 0.3, 0.97  # where codes make so little of bytes, there are repetitions; so much, none
 
 
-def compress_rows(lines: np.ndarray, top: int) -> bytes | memoryview:
-    """A chunk of rows (rows, bytes) uint8, the first of which has the number `top`.
-
-    ISA-L compresses it, unless codes of bytes alone make it smaller: so it is with light that has noise or grain, and
-    they take half the time.
-    """
+def compress_rows(lines: np.ndarray, top: int) -> bytes:
+    """A chunk of rows (rows, bytes) uint8, the first of which has the number `top`."""
     plain = lines.reshape(-1)
     differences = np.empty_like(plain)
     predict_bytes(plain, differences)
-    if guess := _guess_coded(differences, len(lines)):
-        words = np.empty(plain.size // 4 + plain.size // _STEP + _BESIDE, np.uint32)
-        size = pack_bytes(differences, isal_zlib.adler32(differences), words[2:])
-        if size < plain.size and abs(size - guess) < _OFF * guess:  # else the sample does not speak for the chunk
-            words[:2].view(np.int32)[:] = top, size
-            return words.data.cast("B")[: 8 + size]
     packed = isal_zlib.compress(differences, _LEVEL)
     stored = packed if len(packed) < plain.size else plain.tobytes()
     return struct.pack("<2i", top, len(stored)) + stored
-
-
-def _guess_coded(differences: np.ndarray, rows: int) -> int:
-    """About how many bytes codes of bytes alone make of a chunk, as a sample tells: some places of every other row, of
-    the lower and of the upper bytes; 0 where a search for repetitions makes fewer."""
-    if differences.size < _SMALL:
-        return 0
-    coded = searched = size = 0
-    for half in differences.reshape(2, rows, -1)[::-1, ::_APART]:  # the upper ones first
-        runs = half[:, : half.shape[1] // _RUN * _RUN].reshape(len(half), -1, _RUN)
-        step = max(1, runs.shape[1] // _RUNS)
-        sample = runs[:, step // 2 :: step].reshape(-1)
-        found = count_coded(sample)
-        coded, size = coded + found, size + sample.size
-        if coded < _SMOOTH * size:
-            return 0
-        is_random = found > _RANDOM * sample.size
-        searched += found if is_random else len(isal_zlib.compress(sample, _LEVEL))
-    return coded * differences.size // size if coded < _GAIN * searched else 0
 
 
 def decompress_rows(stored: bytes | memoryview, count: int) -> np.ndarray | None:

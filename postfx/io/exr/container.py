@@ -275,7 +275,7 @@ class NewPart:
 
     header: Header
     count: int
-    chunks: Iterable[tuple[int, bytes | memoryview]]
+    chunks: Iterable[tuple[int, bytes]]
 
 
 def write_container(path: Path, parts: list[NewPart]) -> int:
@@ -429,7 +429,7 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
             yield from made.copy_chunks(0)
 
 
-def _zip_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes | memoryview]]:
+def _zip_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
     """Place in the table and bytes of each chunk, from the top."""
     data, line_bytes = header.data, header.data.width * sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
     step = max(1, _PIECE // (line_bytes * ZIP_LINES)) * ZIP_LINES
@@ -442,7 +442,7 @@ def _zip_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes | memor
             yield (first + top) // ZIP_LINES, stored
 
 
-def _compress(channels: Sequence[np.ndarray], line_bytes: int, y0: int, top: int) -> bytes | memoryview:
+def _compress(channels: Sequence[np.ndarray], line_bytes: int, y0: int, top: int) -> bytes:
     """A chunk of channels (rows, width) from row `top` on; the number of row 0 is `y0`."""
     from postfx.kernels.pixel_formats import compress_rows  # loads Numba, which reading must not wait for
 
