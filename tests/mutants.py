@@ -196,7 +196,6 @@ EQUIVALENT = {
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",
     "number: 2 -> 3 in lines = np.empty((3, count + 2)": "a row is longer than what is read of it",
     "number: 0 -> -1 in left, right = min(max(first, 0), w - 1)": "the second pixel is never before the picture",
-    "number: 1 -> 2 in numbers = np.zeros(LONGEST + 1": "the array is longer than what is read of it",
     "number: 2 -> 3 in edges = np.empty((2, count)": "the array is longer than what is read of it",
     "operator: + -> - in demodulation_row(diffuse_albedo[y, first:first + count]":
         "compiled rows are read from where they begin; the length that they give is not looked at",

@@ -124,7 +124,7 @@ def unpredict_eights(differences: np.ndarray, words: np.ndarray, low: Real, high
         sums, odds, high_sums, high_odds = scratch[0, :size], scratch[1, :size], scratch[2, :size], scratch[3, :size]
         low = add_up(differences[first : first + size], low, sums, odds)
         high = add_up(differences[count + first : count + first + size], high, high_sums, high_odds)
-        found = words[2 * first : 2 * (first + size)]
+        found = words[2 * first :]
         for i in range(size):
             even = ((sums[i] - odds[i]) & BYTES) | ((high_sums[i] - high_odds[i]) & BYTES) << EIGHT
             odd = (sums[i] & BYTES) | (high_sums[i] & BYTES) << EIGHT
