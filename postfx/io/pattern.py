@@ -129,22 +129,25 @@ def _join(folder: str, name: str) -> str:
 
 
 def _glob(wild: str) -> list[str]:
-    """Names of files that wildcards fit, as patterns have them: Windows puts backslashes between folders.
-
-    SequenceError when they fit more than MOST_FOLDERS folders on one level.
-    """
+    """Names of files that wildcards fit, as patterns have them; SequenceError when a level has more than MOST_FOLDERS
+    folders that fit."""
     levels: list[tuple[str, str]] = []  # glob.glob would call itself for each
     folder, name = os.path.split(wild)
     while glob.has_magic(folder) and folder != wild:
         levels.append((wild := folder, name))
         folder, name = os.path.split(wild)
-    found = glob.glob(wild)
+    found = _glob_level(wild)
     for folder, name in reversed(levels):
         folders = [glob.escape(path) for path in found if os.path.isdir(path)]
         if len(folders) > MOST_FOLDERS:
             raise SequenceError(f"{folder}: the wildcards fit {len(folders)} folders: name more of the folders")
-        found = [path for folder in folders for path in glob.glob(_join(folder, name))]
-    return list(map(with_slashes, found))
+        found = [path for folder in folders for path in _glob_level(_join(folder, name))]
+    return found
+
+
+def _glob_level(wild: str) -> list[str]:
+    """Windows puts backslashes between folders; patterns have none."""
+    return list(map(with_slashes, glob.glob(wild)))
 
 
 def parse_pattern(text: str) -> Pattern:
