@@ -1,7 +1,6 @@
 """Files and windows: what `ImageFile` reads, and how it says no."""
 
 import multiprocessing
-import os
 import struct
 import zlib
 from pathlib import Path
@@ -12,6 +11,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MissingFrameError, ReadError
+from postfx.io.exr import container
 from postfx.io.exr.container import ExrContainer, ZipReader
 from postfx.io.image_file import ImageFile
 from postfx.kernels.pixel_formats import (
@@ -162,7 +162,7 @@ def test_zip_leaves_rows_that_its_table_does_not_hold_to_openimageio(tmp_path: P
         assert not reader.read([(["G"], plane)], 0, 40) and reader.read([(["G"], plane[:32])], 0, 32)
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+@pytest.mark.skipif(not hasattr(container.os, "register_at_fork"), reason="processes are not forked here")
 def test_a_forked_process_unpacks_with_threads_of_its_own(write_exr, ramp):
     path = write_exr("a.exr", ramp("Z"))
 
