@@ -19,7 +19,7 @@ from postfx.cuts import CutDetector
 from postfx.errors import FrameError
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.interpolate import paths
-from postfx.interpolate.blend import compose, is_finite, is_same_plane, join_cells
+from postfx.interpolate.blend import compose, join_cells
 from postfx.interpolate.choose import (
     MARGIN,
     choose_paths,
@@ -43,6 +43,7 @@ from postfx.interpolate.flow import (
 )
 from postfx.interpolate.paths import at_once, in_bands
 from postfx.interpolate.timing import camera_between, follow_light
+from postfx.kernels.statistics import is_finite, is_same_plane
 from postfx.temporal.reverse_motion import invert_motion
 
 LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)

@@ -17,7 +17,7 @@ import numpy as np
 
 from postfx.interpolate.choose import JOINED, SMOOTH, TURNING, differ, is_within
 from postfx.interpolate.choose import OTHER as OTHER
-from postfx.kernels.numeric import Real, compiled, inline, load_eight, mix_eight, store_eight, summed, uncounted
+from postfx.kernels.numeric import Real, compiled, inline, load_eight, mix_eight, store_eight, uncounted
 from postfx.kernels.vectors import in_lanes
 
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -42,15 +42,14 @@ Cell: TypeAlias = tuple[Real, Real, Real, Real, Real, Real, Real]
 Taps: TypeAlias = tuple[Real, Real, Real, Real]
 Three: TypeAlias = tuple[Real, Real, Real]
 
-
 CUBIC = ((0.0, 1.0, 0.0, 0.0), (-0.5, 0.0, 0.5, 0.0), (1.0, -2.5, 2.0, -0.5), (-0.5, 1.5, -1.5, 0.5))
 SPLINE = ((1 / 6, 2 / 3, 1 / 6, 0.0), (-0.5, 0.0, 0.5, 0.0), (0.5, -1.0, 0.5, 0.0), (-1 / 6, 0.5, -0.5, 1 / 6))
 """Weights of four taps around a place after the second one: of its powers from 0 to 3."""
 
 
-def weights_at(v: Any, t: Any, sharp: Any) -> Any:
-    """Weights of four taps around a place in [0, 1) after the second one: sharp times CUBIC, and SPLINE."""
-    ones, first, squares, cubes = (v.constant(soft).to(v.constant(cubic), sharp)
+def weights_at(v: Any, t: Any, sharp: Any, places: int = 1) -> Any:
+    """Weights of four taps around places in [0, 1) after the second one: sharp times CUBIC, and SPLINE."""
+    ones, first, squares, cubes = (v.constant(places * soft).to(v.constant(places * cubic), sharp)
                                    for soft, cubic in zip(SPLINE, CUBIC, strict=True))
     return ((cubes * t + squares) * t + first) * t + ones
 
@@ -62,18 +61,49 @@ def taps_at(v: Any, t: Any, sharp: Any) -> Any:
     return tuple(weights.number(k) for k in range(4))
 
 
-@in_lanes(16, results=3)
-def cubic_three(v: Any, flat: Any, at: Any, stride: Any, down: Any, across: Any, sharp: Any) -> Any:
+def weigh_taps(v: Any, flat: Any, at: Any, stride: Any, down: list[Any], across: list[Any]) -> tuple[Any, ...]:
     """Weighted sum of 4x4 pixels of three numbers, within the range of the middle four. Reads a third of a pixel on."""
     rows = [v.load(flat, v.step(at, stride, j)) for j in range(4)]
-    under, beside = weights_at(v, down, sharp), weights_at(v, across, sharp)
-    column = v.sum([row * under.spread(j, 16) for j, row in enumerate(rows)])
-    value = v.sum([column.part(3 * i, 4) * beside.spread(i, 4) for i in range(4)])
-    inner = [row.part(3 * i, 4) for row in rows[1:3] for i in (1, 2)]
-    low = inner[0].least(inner[1]).least(inner[2].least(inner[3]))
-    high = inner[0].largest(inner[1]).largest(inner[2].largest(inner[3]))
+    column = v.sum([row * weight for row, weight in zip(rows, down, strict=True)])
+    value = v.sum([column.part(3 * i, 4) * weight for i, weight in enumerate(across)])
+    low, high = rows[1].least(rows[2]), rows[1].largest(rows[2])
+    low, high = low.part(3, 4).least(low.part(6, 4)), high.part(3, 4).largest(high.part(6, 4))
     value = value.largest(low).least(high)
     return tuple(value.number(k) for k in range(3))
+
+
+@in_lanes(16, results=3)
+def cubic_three(v: Any, flat: Any, at: Any, stride: Any, down: Any, across: Any, sharp: Any) -> Any:
+    """The same at a place after the pixel of the second taps."""
+    under, beside = weights_at(v, down, sharp), weights_at(v, across, sharp)
+    return weigh_taps(v, flat, at, stride, *([side.number(k) for k in range(4)] for side in (under, beside)))
+
+
+@in_lanes(16, results=6)
+def cubic_pair(v: Any, before: Any, at: Any, after: Any, there: Any, stride: Any, taps: Any, first: Any) -> Any:
+    """The same in both frames, by weights as `aim_row` leaves them."""
+    across, down, beside, under = (v.numbers(taps, v.step(first, 4 * k), 4) for k in range(4))
+    return weigh_taps(v, before, at, stride, down, across) + weigh_taps(v, after, there, stride, under, beside)
+
+
+@in_lanes(4, results=0)
+def aim(v: Any, paths: Any, at: Any, y: Any, x: Any, low: Any, right: Any, corners: Any, place: Any, taps: Any,
+        first: Any) -> Any:
+    """`corner_of` and weights of taps for both ends of a path."""
+    pixels, offsets = v.corners(v.join(x, y, x, y), v.load(paths, at), v.join(right, low, right, low))
+    v.store(corners, place, pixels)
+    sharp, = v.numbers(paths, v.step(at, 6), 1)
+    v.store(taps, first, weights_at(v, offsets.pick([k // 4 for k in range(16)]), sharp, 4))
+
+
+@uncounted
+def aim_row(y: int, h: int, paths: np.ndarray, corners: np.ndarray, taps: np.ndarray) -> None:
+    """The same for a row of pixels: corners (w, 4), across and down in both frames, and taps of each, flat. Loads of
+    pictures that wait for places in a loop of their own overlap more."""
+    w, flat = paths.shape[0], paths.reshape(-1)
+    v, low, right = np.float32(y), np.float32(h - 1), np.float32(w - 1)
+    for x in range(w):
+        aim(flat, 8 * x, v, np.float32(x), low, right, corners, 4 * x, taps, 16 * x)
 
 
 @inline
@@ -226,18 +256,17 @@ def weigh_known_row(paths: np.ndarray, known_before: np.ndarray, known_after: np
 
 
 @uncounted
-def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.ndarray, masked: bool, t: Real,
-               shares: np.ndarray, dim: Real, row: np.ndarray) -> None:
+def sample_row(before: np.ndarray, after: np.ndarray, h: int, paths: np.ndarray, corners: np.ndarray, taps: np.ndarray,
+               masked: bool, t: Real, shares: np.ndarray, dim: Real, row: np.ndarray) -> None:
     """Colours (w, 3) of a row of pixels where cells are joined and no edge is near, and weights (w, 2) of both frames,
-    unless something is masked; NaN elsewhere. before, after: flat."""
+    unless something is masked; NaN elsewhere. before, after: flat. corners, taps: as `aim_row` leaves them."""
     w = row.shape[0]
     both, rest = shares_of(ONE, ONE, t)
     for x in range(w):
         row[x, 0] = np.nan
         if paths[x, 7] == 0:
             continue
-        j, i, down, across = corner_of(y + paths[x, 1], x + paths[x, 0], h, w)
-        m, n, under, beside = corner_of(y + paths[x, 3], x + paths[x, 2], h, w)
+        i, j, n, m = corners[x, 0], corners[x, 1], corners[x, 2], corners[x, 3]
         if not ((min(j, m) >= 1) & (max(j, m) < h - 2) & (min(i, n) >= 1) & (max(i, n) < w - 4)):
             continue
         if masked:
@@ -245,8 +274,8 @@ def sample_row(before: np.ndarray, after: np.ndarray, h: int, y: int, paths: np.
         else:
             one, other = (both, rest) if min(paths[x, 4], paths[x, 5]) == 1 else shares_of(paths[x, 4], paths[x, 5], t)
             shares[x, 0], shares[x, 1] = one, other
-        a, b, c = cubic_three(before, ((j - 1) * w + i - 1) * 3, 3 * w, down, across, paths[x, 6])
-        p, q, r = cubic_three(after, ((m - 1) * w + n - 1) * 3, 3 * w, under, beside, paths[x, 6])
+        a, b, c, p, q, r = cubic_pair(before, ((j - 1) * w + i - 1) * 3, after, ((m - 1) * w + n - 1) * 3, 3 * w, taps,
+                                      16 * x)
         one, other = settle(one, other, a + b + c, p + q + r, dim)
         row[x, 0], row[x, 1], row[x, 2] = one * a + other * p, one * b + other * q, one * c + other * r
 
@@ -450,12 +479,14 @@ def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray,
     flat_cells, flat_before, flat_after = cells.reshape(-1), before.reshape(-1), after.reshape(-1)
     paths, shares, mixture = np.zeros((w, 8), np.float32), np.empty((w, 2), np.float32), np.empty((w, 4), np.float32)
     places, across = np.empty(w, np.int64), np.empty(w, np.float32)
+    corners, taps = np.empty((w, 4), np.int32), np.empty(16 * w, np.float32)
     place_row(cells.shape[1], size, places, across)
     for y in range(y0, y1):
         find_row(flat_cells, cells.shape[0], cells.shape[1], size, y, places, across, paths)
         if masked:
             weigh_known_row(paths, known_before, known_after, y, time, shares)
-        sample_row(flat_before, flat_after, h, y, paths, masked, time, shares, dim, colour[y])
+        aim_row(y, h, paths, corners.reshape(-1), taps)
+        sample_row(flat_before, flat_after, h, paths, corners, taps, masked, time, shares, dim, colour[y])
         mix_row(cells, size, before, after, known_before, known_after, near, far, y, time, paths, shares, dim,
                 colour[y], mixture)
         if light.shape[2]:
@@ -467,27 +498,3 @@ def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray,
             for x in range(w):
                 motion[y, x, 0] = by_first * paths[x, 0] + by_last * paths[x, 2]
                 motion[y, x, 1] = by_first * paths[x, 1] + by_last * paths[x, 3]
-
-
-@summed
-def sum_of_nothing(flat: np.ndarray) -> Real:
-    """0, or NaN if a number is not finite."""
-    total = np.float32(0)
-    for i in range(flat.size):
-        total += flat[i] * np.float32(0)
-    return total
-
-
-@compiled
-def is_finite(flat: np.ndarray) -> bool:
-    """Whether all numbers are finite."""
-    return bool(sum_of_nothing(flat) == 0)
-
-
-@compiled
-def is_same_plane(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether all numbers are the same, or NaN in both."""
-    for i in range(one.size):
-        if one[i] != other[i] and (one[i] == one[i] or other[i] == other[i]):
-            return False
-    return True

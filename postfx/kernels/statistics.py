@@ -15,7 +15,7 @@ from contextvars import ContextVar
 import numpy as np
 
 from postfx.kernels.native import bind_rows
-from postfx.kernels.numeric import Real, add, compiled, inline, vectorised
+from postfx.kernels.numeric import Real, add, compiled, inline, summed, vectorised
 
 INFINITY_BITS = np.uint32(0x7F800000)
 """The bits of an infinite float32; those of NaN, without the sign, are larger."""
@@ -321,3 +321,27 @@ def coverage_noise(depth: np.ndarray, farthest: Real) -> Real:
                       + is_hit(row[x - 1], farthest) + is_hit(row[x + 1], farthest))
             noisy += around <= 1 if is_hit(row[x], farthest) else around >= 3
     return noisy / max((h - 1) // 2 * (w - 2), 1)
+
+
+@summed
+def sum_of_nothing(flat: np.ndarray) -> Real:
+    """0, or NaN if a number is not finite."""
+    total = np.float32(0)
+    for i in range(flat.size):
+        total += flat[i] * np.float32(0)
+    return total
+
+
+@compiled
+def is_finite(flat: np.ndarray) -> bool:
+    """Whether all numbers are finite."""
+    return bool(sum_of_nothing(flat) == 0)
+
+
+@compiled
+def is_same_plane(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether all numbers are the same, or NaN in both."""
+    for i in range(one.size):
+        if one[i] != other[i] and (one[i] == one[i] or other[i] == other[i]):
+            return False
+    return True

@@ -65,18 +65,18 @@ class Vector:
         larger = self.builder.fcmp_ordered(">", self.value, other.value)
         return Vector(self.builder, self.builder.select(larger, self.value, other.value))
 
+    def pick(self, places: Sequence[int]) -> Vector:
+        """Numbers at places of it."""
+        order = ir.Constant(_whole(len(places)), list(places))
+        return Vector(self.builder, self.builder.shuffle_vector(self.value, self.value, order))
+
     def part(self, first: int, count: int) -> Vector:
         """Some of the numbers, from one on."""
-        return Vector(self.builder, self.builder.shuffle_vector(self.value, self.value, _places(first, count)))
+        return self.pick(range(first, first + count))
 
     def number(self, at: int) -> Any:
         """One number of it, as a result."""
         return self.builder.extract_element(self.value, ir.Constant(ir.IntType(32), at))
-
-    def spread(self, at: int, count: int) -> Vector:
-        """One number of it, this many times."""
-        places = ir.Constant(ir.VectorType(ir.IntType(32), count), [at] * count)
-        return Vector(self.builder, self.builder.shuffle_vector(self.value, self.value, places))
 
     def total(self) -> Any:
         """The sum, as a result; the count of numbers is a power of two."""
@@ -105,27 +105,41 @@ class Lanes:
     def load(self, array: Any, at: Any) -> Vector:
         """Numbers of an array from an index on."""
         data = _data(self.context, self.builder, self.arrays[id(array)], array)
-        kind = ir.VectorType(ir.FloatType(), self.count).as_pointer()
-        place = self.builder.bitcast(self.builder.gep(data, [at]), kind)
-        return Vector(self.builder, self.builder.load(place, align=4))
+        return Vector(self.builder, _load(self.builder, data, at, ir.VectorType(ir.FloatType(), self.count)))
 
     def store(self, array: Any, at: Any, vector: Vector) -> None:
         """Put a vector's numbers into an array, from an index on."""
-        data = _data(self.context, self.builder, self.arrays[id(array)], array)
-        place = self.builder.bitcast(self.builder.gep(data, [at]), vector.value.type.as_pointer())
-        self.builder.store(vector.value, place, align=4)
+        _store(self.builder, vector.value, _data(self.context, self.builder, self.arrays[id(array)], array), at)
 
     def repeat(self, array: Any, at: int) -> Vector:
         """A number of an array, as often as there are lanes."""
+        return Vector(self.builder, _repeat(self.builder, self.numbers(array, _index(at), 1)[0], self.count))
+
+    def numbers(self, array: Any, at: Any, count: int) -> list[Any]:
+        """Numbers of an array from an index on, one by one."""
         data = _data(self.context, self.builder, self.arrays[id(array)], array)
-        number = self.builder.load(self.builder.gep(data, [_index(at)]))
-        return Vector(self.builder, _repeat(self.builder, number, self.count))
+        return [self.builder.load(self.builder.gep(data, [self.step(at, k)])) for k in range(count)]
+
+    def join(self, *numbers: Any) -> Vector:
+        """A vector of numbers."""
+        found = ir.Constant(ir.VectorType(ir.FloatType(), len(numbers)), ir.Undefined)
+        for place, number in enumerate(numbers):
+            found = self.builder.insert_element(found, number, ir.Constant(ir.IntType(32), place))
+        return Vector(self.builder, found)
+
+    def corners(self, start: Vector, way: Vector, last: Vector) -> tuple[Vector, Vector]:
+        """What is whole (int32) of start + way, held between 0 and the last, and the rest: by double precision."""
+        builder, kind = self.builder, ir.VectorType(ir.DoubleType(), way.value.type.count)
+        one, other, most = (Vector(builder, builder.fpext(vector.value, kind)) for vector in (start, way, last))
+        place = (one + other).largest(Vector(builder, ir.Constant(kind, [0.0] * kind.count))).least(most)
+        whole = builder.fptosi(place.value, _whole(kind.count))
+        rest = place - Vector(builder, builder.sitofp(whole, kind))
+        return Vector(builder, whole), Vector(builder, builder.fptrunc(rest.value, way.value.type))
 
     def constant(self, numbers: Sequence[float]) -> Vector:
         """Numbers that are known, as many as there are."""
-        kind = ir.VectorType(ir.FloatType(), len(numbers))
         constants = [ir.Constant(ir.FloatType(), float(number)) for number in numbers]
-        return Vector(self.builder, ir.Constant(kind, constants))
+        return Vector(self.builder, ir.Constant(ir.VectorType(ir.FloatType(), len(constants)), constants))
 
     def step(self, at: Any, stride: Any, times: int = 1) -> Any:
         """An index, moved on by a multiple of a stride, which may be an int."""
@@ -183,6 +197,14 @@ def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
     return context.make_array(kind)(context, builder, array).data
 
 
+def _load(builder: Any, data: Any, at: Any, kind: Any = None) -> Any:
+    return builder.load(builder.bitcast(builder.gep(data, [at]), (kind or _vector()).as_pointer()), align=4)
+
+
+def _store(builder: Any, vector: Any, data: Any, at: Any) -> None:
+    builder.store(vector, builder.bitcast(builder.gep(data, [at]), vector.type.as_pointer()), align=4)
+
+
 def _repeat(builder: Any, number: Any, count: int) -> Any:
     """A vector of one number."""
     undefined = ir.Constant(ir.VectorType(ir.FloatType(), count), ir.Undefined)
@@ -193,10 +215,6 @@ def _repeat(builder: Any, number: Any, count: int) -> Any:
 
 def _index(value: int) -> Any:
     return ir.Constant(ir.IntType(64), value)
-
-
-def _places(first: int, count: int) -> Any:
-    return ir.Constant(ir.VectorType(ir.IntType(32), count), list(range(first, first + count)))
 
 
 # Products of small matrices.
@@ -265,14 +283,6 @@ def open_blocks(blocks: np.ndarray, first: int, rows: int, columns: int, target:
                 for u in range(min(ACROSS, columns - i)):
                     target[(j + v) * columns + i + u] = blocks[at + ACROSS * v + u]
             at += LANES
-
-
-def _load(builder: Any, data: Any, at: Any) -> Any:
-    return builder.load(builder.bitcast(builder.gep(data, [at]), _vector().as_pointer()), align=4)
-
-
-def _store(builder: Any, vector: Any, data: Any, at: Any) -> None:
-    builder.store(vector, builder.bitcast(builder.gep(data, [at]), _vector().as_pointer()), align=4)
 
 
 def _variable(builder: Any, value: Any) -> Any:
@@ -418,14 +428,6 @@ def _whole(count: int, bits: int = 32) -> Any:
     return ir.VectorType(ir.IntType(bits), count)
 
 
-def _load_whole(builder: Any, data: Any, at: Any, count: int) -> Any:
-    return builder.load(builder.bitcast(builder.gep(data, [at]), _whole(count).as_pointer()), align=4)
-
-
-def _store_whole(builder: Any, vector: Any, data: Any, at: Any) -> None:
-    builder.store(vector, builder.bitcast(builder.gep(data, [at]), vector.type.as_pointer()), align=4)
-
-
 def _add_codes(builder: Any, total: Any, codes: Any, factors: Any) -> Any:
     """The total plus four products in each of its numbers, by x86's instructions."""
     wide = LANES == 16
@@ -456,7 +458,7 @@ def _multiply_codes(typingctx: Any, codes: Any, at: Any, apart: Any, factors: An
         totals = [_variable(builder, zero) for _ in range(FOURS) for _ in across]
         with cgutils.for_range(builder, groups) as loop:
             here = builder.add(at, builder.mul(loop.index, apart))
-            seen = [_load_whole(builder, codes, builder.add(here, _index(x)), LANES) for x in across]
+            seen = [_load(builder, codes, builder.add(here, _index(x)), _whole(LANES)) for x in across]
             for j in range(FOURS):
                 row = builder.add(first, builder.add(loop.index, builder.mul(groups, _index(j))))
                 one = builder.insert_element(whole, builder.load(builder.gep(factors, [row])), _index(0))
@@ -467,7 +469,7 @@ def _multiply_codes(typingctx: Any, codes: Any, at: Any, apart: Any, factors: An
         for j in range(FOURS):
             for v, x in enumerate(across):
                 there = builder.add(place, builder.add(builder.mul(step, _index(j)), _index(x)))
-                _store_whole(builder, builder.load(totals[len(across) * j + v]), sums, there)
+                _store(builder, builder.load(totals[len(across) * j + v]), sums, there)
         return context.get_dummy_value()
 
     whole = types.int64
@@ -481,7 +483,7 @@ def _turn(typingctx: Any, source: Any, at: Any, step: Any, target: Any, place: A
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         source, at, step, target, place, apart = arguments
         source, target = (_data(context, builder, signature.args[k], value) for k, value in ((0, source), (3, target)))
-        rows = [_load_whole(builder, source, builder.add(at, builder.mul(step, _index(j))), TURNED)
+        rows = [_load(builder, source, builder.add(at, builder.mul(step, _index(j))), _whole(TURNED))
                 for j in range(TURNED)]
         for run in (1, 2, 4):
             orders = [[half + k - k % (2 * run) + k % run + k // run % 2 * TURNED for k in range(TURNED)]
@@ -491,7 +493,7 @@ def _turn(typingctx: Any, source: Any, at: Any, step: Any, target: Any, place: A
                 rows[j], rows[j + run] = (builder.shuffle_vector(*pair, ir.Constant(_whole(TURNED), order))
                                           for order in orders)
         for j, row in enumerate(rows):
-            _store_whole(builder, row, target, builder.add(place, builder.mul(apart, _index(j))))
+            _store(builder, row, target, builder.add(place, builder.mul(apart, _index(j))))
         return context.get_dummy_value()
 
     whole = types.int64
