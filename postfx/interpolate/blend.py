@@ -230,17 +230,17 @@ def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, pla
     """Paths (w, 8) of a row of pixels between four cells that are joined. The last number is 0 where they are not, and
     the others are left. cells: flat. size: cells of a pixel. places, across: as `place_row` leaves them."""
     top, low, down = between_cells(y, size, rows)
-    flat, upper_row, lower_row, last = paths.reshape(-1), 8 * top * columns, 8 * low * columns, 8 * (columns - 1)
+    flat, row, six, seven, eight = paths.reshape(-1), np.uint64(8 * columns), np.uint64(6), np.uint64(7), np.uint64(8)
+    upper_row, lower_row, last = np.uint64(top) * row, np.uint64(low) * row, row - eight
     for x in range(paths.shape[0]):
-        left, share = places[x], across[x]
-        right = min(left + 8, last)
+        left, right, share = places[x], min(places[x] + eight, last), across[x]
         p, q, r, s = upper_row + left, upper_row + right, lower_row + left, lower_row + right
-        joined = cells[p + 7]
+        joined = cells[p + seven]
         if joined > 0:
             upper = mix_eight(load_eight(cells, p), load_eight(cells, q), share)
             lower = mix_eight(load_eight(cells, r), load_eight(cells, s), share)
             store_eight(flat, 8 * x, mix_eight(upper, lower, down))
-            most = max(max(cells[p + 6], cells[q + 6]), max(cells[r + 6], cells[s + 6]))
+            most = max(max(cells[p + six], cells[q + six]), max(cells[r + six], cells[s + six]))
             if most > CRISP:
                 paths[x, 6] = most
         paths[x, 7] = joined
@@ -478,7 +478,7 @@ def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray,
     time, size, dim = np.float32(t), np.float32(1 / scale), DARK * np.float32(level)
     flat_cells, flat_before, flat_after = cells.reshape(-1), before.reshape(-1), after.reshape(-1)
     paths, shares, mixture = np.zeros((w, 8), np.float32), np.empty((w, 2), np.float32), np.empty((w, 4), np.float32)
-    places, across = np.empty(w, np.int64), np.empty(w, np.float32)
+    places, across = np.empty(w, np.uint64), np.empty(w, np.float32)  # unsigned: without tests for those below 0
     corners, taps = np.empty((w, 4), np.int32), np.empty(16 * w, np.float32)
     place_row(cells.shape[1], size, places, across)
     for y in range(y0, y1):

@@ -118,7 +118,7 @@ def test_a_cell_that_keeps_all_detail_keeps_it_up_to_the_middle_of_those_beside(
     cells = np.zeros((4, 4, 8), np.float32)
     cells[..., 4:6], cells[..., 7] = 1, 1
     cells[:, :2, 6], cells[:, 2:, 6] = 0.5, beside
-    paths, places, across = np.empty((8, 8), np.float32), np.empty(8, np.int64), np.empty(8, np.float32)
+    paths, places, across = np.empty((8, 8), np.float32), np.empty(8, np.uint64), np.empty(8, np.float32)
     blend.place_row(4, np.float32(0.5), places, across)
     blend.find_row(cells.ravel(), 4, 4, np.float32(0.5), 4, places, across, paths)
     np.testing.assert_allclose(paths[:, 6], [0.5, 0.5, 0.5, between, (between if beside == 1 else 0.8), beside, beside,
