@@ -66,8 +66,8 @@ def weigh_taps(v: Any, flat: Any, at: Any, stride: Any, down: list[Any], across:
     rows = [v.load(flat, v.step(at, stride, j)) for j in range(4)]
     column = v.sum([row * weight for row, weight in zip(rows, down, strict=True)])
     value = v.sum([column.part(3 * i, 4) * weight for i, weight in enumerate(across)])
-    low, high = rows[1].least(rows[2]), rows[1].largest(rows[2])
-    low, high = low.part(3, 4).least(low.part(6, 4)), high.part(3, 4).largest(high.part(6, 4))
+    p, q, r, s = (row.part(3 * i, 4) for row in rows[1:3] for i in (1, 2))
+    low, high = p.least(q).least(r.least(s)), p.largest(q).largest(r.largest(s))
     value = value.largest(low).least(high)
     return tuple(value.number(k) for k in range(3))
 
