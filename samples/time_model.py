@@ -12,7 +12,6 @@ of frames before they are enlarged: 427x240 makes 480p, 7680x4320 makes 16K.
 import argparse
 import heapq
 import itertools
-import resource
 import statistics
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from compare_speed import noisy_frame
 from masked_speed import masked
 
 import postfx
+from postfx.bench.measure import peak_memory
 from postfx.passes.denoise.tiling import HALOS
 
 SIZES = "427x240,640x360,960x540,1280x720,1920x1080"
@@ -144,7 +144,7 @@ def run_alone(model: str, size: tuple[int, int], budget: str) -> None:
         began = time.perf_counter()
         way(frame)
         taken = time.perf_counter() - began
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak = peak_memory() * 1e6 / 2**20
     print(f"{peak:.0f} MiB, {sum(plane.nbytes for plane in frame.planes.values()) / 2**20:.0f} of them the planes; "
           f"{1e3 * taken:.0f} ms")
 
