@@ -35,12 +35,10 @@ __device__ inline int turn_of(int row) {
 }
 
 // What every block knows of the network: sizes; floats before each layer's inputs in a point's rows, before its
-// parameters in the shared memory, and in the tensor; and what the first layer's inputs are made of.
+// parameters in the shared memory, and in the tensor.
 struct Network {
     int layers, inputs, encoded, bands, activation, widest;
     int size[MOST_LAYERS + 1], rows[MOST_LAYERS + 2], space[MOST_LAYERS + 1], count[MOST_LAYERS + 1];
-    int source[MOST_WIDTH];    // which number of a point
-    float factor[MOST_WIDTH];  // 0 for itself, else half turns for 1; negative for a cosine
 };
 
 // Rows of a layer's weights in the shared memory.
@@ -55,13 +53,13 @@ __device__ inline int stride_of(int widest) {
 
 __device__ inline void read_network(const View& view, Network& net) {
     const float* const at = view.at;
-    const int inputs = int(at[INPUTS]), encoded = max(int(at[ENCODED]), 1);
     if (threadIdx.x == 0) {
         int size[MOST_LAYERS + 1];  // sizes beyond the last layer are 0
         int widest = 0, rows = 0, space = 0, count = 0;
 #pragma unroll
         for (int layer = 0; layer <= MOST_LAYERS; layer++) size[layer] = int(at[SIZES + layer]);
-        net.layers = int(at[LAYERS]), net.inputs = inputs, net.activation = int(at[ACTIVATION]);
+        net.layers = int(at[LAYERS]), net.inputs = int(at[INPUTS]), net.activation = int(at[ACTIVATION]);
+        net.encoded = int(at[ENCODED]), net.bands = int(at[BANDS]);
 #pragma unroll
         for (int layer = 0; layer <= MOST_LAYERS; layer++) widest = max(widest, size[layer]);
 #pragma unroll
@@ -73,12 +71,6 @@ __device__ inline void read_network(const View& view, Network& net) {
             count += (size[layer] + 1) * makes;
         }
         net.rows[MOST_LAYERS + 1] = rows, net.widest = widest;
-    }
-    for (int column = threadIdx.x; column < MOST_WIDTH; column += THREADS) {
-        const int pair = max(column - inputs, 0) / 2, band = pair / encoded;
-        const float turns = float(1 << min(band, 30));
-        net.source[column] = column < inputs ? column : pair % encoded;
-        net.factor[column] = column < inputs ? 0.0f : (column - inputs) % 2 ? -turns : turns;
     }
     __syncthreads();
 }
@@ -135,10 +127,10 @@ __device__ inline float sine_of(float whole, float rest) {
     return sign * (sine * square * rest + rest);
 }
 
-// A number's sine or cosine that the first layer reads.
-__device__ inline float feature_of(float number, float factor) {
-    const float turns = number * fabsf(factor), whole = floorf(turns + 0.5f), rest = turns - whole;
-    return sine_of(whole, PI * (factor < 0.0f ? 0.5f - fabsf(rest) : rest));
+// Sine and cosine of half turns.
+__device__ inline Pair waves_of(float turns) {
+    const float whole = floorf(turns + 0.5f), rest = turns - whole;
+    return {sine_of(whole, PI * rest), sine_of(whole, PI * (0.5f - fabsf(rest)))};
 }
 
 // GELU (Abramowitz and Stegun 7.1.26) and sine, as on the CPU, and their slopes; a ReLU is made where the sums are.
@@ -248,28 +240,37 @@ __device__ inline void each_pair(float* at, int width, Call call) {
 }
 
 // What the first layer reads of some points, and 0 beside it, in a warp's rows; from `end` on points are 0. Numbers of 16
-// points are read before any is used, because each alone would wait for the card's memory.
+// points are read before any is written, because each alone would wait for the card's memory.
 __device__ inline void encode_points(const Network& net, const View& points, int first, int end, int count,
                                      float* rows) {
-    const int width = up_to(net.size[0], 32);
-    for (int column = threadIdx.x % 32; column < width; column += 32) {
-        const bool is_there = column < net.size[0];
-        const float factor = is_there ? net.factor[column] : 0.0f;
-        const float* const from = points.at + size_t(first) * net.inputs + net.source[column];
+    const int width = up_to(net.size[0], 32), lane = threadIdx.x % 32, p = lane % TILE, turn = turn_of(p);
+    for (int column = lane; column < width; column += 32) {
+        if (column >= net.inputs && column < net.size[0]) continue;
+        const float* const from = points.at + size_t(first) * net.inputs + column;
         for (int begin = 0; begin < count; begin += TILE) {
             float numbers[TILE];
 #pragma unroll
             for (int k = 0; k < TILE; k++) {
-                numbers[k] = is_there && first + begin + k < end ? from[(begin + k) * net.inputs] : 0.0f;
+                const bool is_there = column < net.inputs && first + begin + k < end;
+                numbers[k] = is_there ? from[(begin + k) * net.inputs] : 0.0f;
             }
 #pragma unroll
             for (int k = 0; k < TILE; k++) rows[(begin + k) * width + (column ^ turn_of(k))] = numbers[k];
         }
-        if (factor == 0.0f) continue;
-#pragma unroll 4
-        for (int p = 0; p < count; p++) {
-            float& number = rows[p * width + (column ^ turn_of(p))];
-            number = feature_of(number, factor);
+    }
+    __syncwarp();
+    for (float* row = rows + p * width; net.bands && row < rows + count * width; row += TILE * width) {
+        for (int i = 0; i < net.encoded; i++) {  // a lane for every other band of a point
+            const float number = row[i ^ turn];
+            float factor = lane < TILE ? 1.0f : 2.0f;
+            int column = net.inputs + 2 * (i + lane / TILE * net.encoded);
+#pragma unroll 2
+            for (int band = lane / TILE; band < net.bands; band += 2) {
+                const Pair waves = waves_of(number * factor);
+                row[column ^ turn] = waves.x;
+                row[(column + 1) ^ turn] = waves.y;
+                factor *= 4.0f, column += 4 * net.encoded;
+            }
         }
     }
     __syncwarp();
