@@ -25,11 +25,13 @@ class Blocks:
     """How a GPU runs a kernel whose threads work together.
 
     Attributes:
-        rows: of the kernel's work that a block makes.
+        rows: of the kernel's work that a block makes; 0 if `most` blocks share all of it.
         threads: of a block, in one axis.
         shared: bytes of dynamic shared memory, or as many as the GPU has.
         most: blocks at most; with fewer than there are rows for, each takes every so many rows.
         columns: of its rows that a block makes; 0 for all of them.
+        between: numbers in memory that blocks share, 0 before the first run and left to the next one; the CUDA
+            function's last argument.
     """
 
     rows: int
@@ -37,6 +39,12 @@ class Blocks:
     shared: int = 0
     most: int = 65535
     columns: int = 0
+    between: int = 0
+
+    def grid(self, rows: int, columns: int) -> tuple[int, int]:
+        """How many there are for a kernel of such an extent, across and down."""
+        across = -(-columns // self.columns) if self.columns else 1
+        return across, min(-(-rows // self.rows), self.most) if self.rows else self.most
 
 
 @dataclass(frozen=True)
@@ -65,7 +73,8 @@ class Kernel:
             check bounds, so shapes given here are checked for them; they also let the device compile `rows` before
             the first frame.
         types: binding name -> element type, if not float32.
-        blocks: of threads on a GPU; by default each thread makes a pixel.
+        blocks: of threads on a GPU; by default each thread makes some pixels.
+        pixels: how many of them, down and across.
         folder: where a plug-in keeps the other forms, if not beside the module of `rows`.
     """
 
@@ -77,6 +86,7 @@ class Kernel:
     shapes: Mapping[str, tuple[int | str, ...]] = field(default_factory=dict, hash=False)
     types: Mapping[str, str] = field(default_factory=dict, hash=False)
     blocks: Blocks | None = None
+    pixels: tuple[int, int] = (1, 1)
     folder: Path | None = None
 
     def __post_init__(self) -> None:
@@ -119,7 +129,7 @@ class Kernel:
 SOURCES = _PACKAGE
 """Where our kernels lie, beside the modules that their constants come from."""
 SHARED = SOURCES / "kernels"
-_KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([\w, ]+\) )?(\w+)\(')
+_KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(')
 _NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
 _TYPES = {int: "int", np.float64: "double"}
 """Of constants in CUDA, by that in Python; all others are float."""

@@ -1,13 +1,43 @@
 // Looks colours up in a cube: colour (height, width, 3), params (3,), matrix (9,), cube (size, size, size, 3) ->
 // output (height, width, 3).
-extern "C" __global__ void apply_cube(View colour, View params, View matrix, View cube, View output) {
-    const int width = output.size[1];
-    PIXEL(width, output.size[0]);
-    const int here = 3 * (y * width + x);
-    const Colour found = looked_up(cube, shaped(shaper(params, matrix), colour.at + here));
-    output.at[here] = found.r;
-    output.at[here + 1] = found.g;
-    output.at[here + 2] = found.b;
+extern "C" __global__ void __launch_bounds__(256, 4) apply_cube(View colour, View params, View matrix, View cube,
+                                                                View output) {
+    // A thread makes two pixels beside each other.
+    __shared__ Pair staged[DOWN][3 * ACROSS];
+    const int width = output.size[1], height = output.size[0], start = 2 * ACROSS * blockIdx.x;
+    const int y = blockIdx.y * DOWN + threadIdx.y, x = min(start + 2 * int(threadIdx.x), (width - 1) / 2 * 2);
+    if (y >= height) return;
+    const Shaper by = shaper(params, matrix);
+    const size_t here = 3 * (size_t(y) * width + x);
+    const int count = x + 1 < width ? 6 : 3;
+    float light[6], found[6];
+    if (width % 2 == 0) {
+#pragma unroll
+        for (int i = 0; i < 3; i++) {
+            const Pair two = pair(colour, here / 2 + i);
+            light[2 * i] = two.x;
+            light[2 * i + 1] = two.y;
+        }
+    } else {
+#pragma unroll
+        for (int i = 0; i < 6; i++) light[i] = colour.at[here + (i < count ? i : 0)];
+    }
+    const Colour places[2] = {shaped(by, light), shaped(by, light + 3)};
+#pragma unroll
+    for (int k = 0; k < 2; k++) {
+        const Colour one = looked_up(cube, places[k]);
+        found[3 * k] = one.r;
+        found[3 * k + 1] = one.g;
+        found[3 * k + 2] = one.b;
+    }
+    if (width % 2 == 0) {
+        const Pair own[3] = {{found[0], found[1]}, {found[2], found[3]}, {found[4], found[5]}};
+        put_row(staged[threadIdx.y], own, &pair(output, 3 * (size_t(y) * width + start) / 2), 3 * (width - start) / 2);
+    } else {
+#pragma unroll
+        for (int i = 0; i < 6; i++)
+            if (i < count) output.at[here + i] = found[i];
+    }
 }
 
 // Colour (height, width, 3) to a display's code values: decoded if it is code values, turned by a matrix, cut, encoded.

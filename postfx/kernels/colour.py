@@ -157,6 +157,7 @@ APPLY_CUBE = Kernel(
         "cube": ("size", "size", "size", 3),
         "output": ("height", "width", 3),
     },
+    pixels=(1, 2),
 )
 
 

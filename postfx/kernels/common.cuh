@@ -33,6 +33,11 @@ __device__ inline Window window_of(const View& view) {
             int(at[OUT_TOP]), int(at[OUT_LEFT]), int(at[OUT_HEIGHT]), int(at[OUT_WIDTH])};
 }
 
+// Whether both sides are twice the render's.
+__device__ inline bool is_doubled(const Window& part) {
+    return part.width == 2 * part.w && part.height == 2 * part.h;
+}
+
 // The render pixel that holds an output pixel's centre; `offset` becomes the centre's offset from it in [-0.5, 0.5).
 __device__ inline int centre(int position, int size, int out_size, float& offset) {
     const long long at = (2LL * position + 1) * size;  // in units of 1 / (2 out_size): exact
@@ -69,8 +74,9 @@ __device__ inline Colour demodulation(const View& diffuse, const View& specular,
     const float g = clamped(diffuse.at[at + 1] + specular.at[at + 1], 0.0f, MOST_REFLECTANCE);
     const float b = clamped(diffuse.at[at + 2] + specular.at[at + 2], 0.0f, MOST_REFLECTANCE);
     const float peak = fmaxf(r, fmaxf(g, b)), floor = LEAST_TINT * peak;
-    if (peak < EMITTER) return {1.0f, 1.0f, 1.0f};
-    return {fmaxf(r, floor) + ADDED, fmaxf(g, floor) + ADDED, fmaxf(b, floor) + ADDED};
+    const bool emits = peak < EMITTER;
+    return {emits ? 1.0f : fmaxf(r, floor) + ADDED, emits ? 1.0f : fmaxf(g, floor) + ADDED,
+            emits ? 1.0f : fmaxf(b, floor) + ADDED};
 }
 
 // Two or four neighbouring floats, read or written in one transfer.
@@ -122,6 +128,32 @@ inline unsigned short to_half(float value) {
     return __builtin_bit_cast(unsigned short, _Float16(value));
 }
 #endif
+
+// Threads of a block, across and down, of kernels whose threads make pixels: PIXELS in postfx/runtime/cuda.py.
+[[maybe_unused]] const int ACROSS = 32;
+[[maybe_unused]] const int DOWN = 8;
+
+// Three numbers, or pairs of them, of each thread of a row, into a picture's row `to`, of which `count` are left. A warp
+// writes them side by side, as memory takes whole sectors faster than parts of them. All its threads come here.
+const bool stages = true;
+
+template <class T>
+__device__ inline void put_row(T (&staged)[3 * ACROSS], const T (&own)[3], T* to, int count) {
+    if (!stages) {
+        for (int i = 0; i < 3; i++)
+            if (3 * int(threadIdx.x) + i < count) to[3 * threadIdx.x + i] = own[i];
+        return;
+    }
+#pragma unroll
+    for (int i = 0; i < 3; i++) staged[3 * threadIdx.x + i] = own[i];
+    __syncwarp();
+#pragma unroll
+    for (int i = 0; i < 3; i++) {
+        const int at = i * ACROSS + threadIdx.x;
+        if (at < count) to[at] = staged[at];
+    }
+    __syncwarp();
+}
 
 // Heads are numbers in single precision, or bits of half precision.
 typedef unsigned short Half;
@@ -196,44 +228,21 @@ __device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
     return {found[0], found[1], found[2]};
 }
 
-// An output pixel before the history: log-encoded colour, sharpened, and how much of the history it keeps.
-struct Enlarged {
-    Colour colour;
-    float kept;
-};
-
 // How much a sample says about an output pixel at a distance in render pixels.
 __device__ inline float gauss(float distance) {
     return expf(-2.0f * distance * distance);
 }
 
-// Normalised weights of the samples at -1, 0 and 1 plus `offset` for the softened picture.
-__device__ inline void wide_gauss(float offset, float weights[3]) {
-    const float before = expf(-0.5f * (offset - 1.0f) * (offset - 1.0f)), here = expf(-0.5f * offset * offset);
-    const float after = expf(-0.5f * (offset + 1.0f) * (offset + 1.0f)), share = 1.0f / (before + here + after);
-    weights[0] = before * share;
-    weights[1] = here * share;
-    weights[2] = after * share;
-}
-
-// A head's value at an output pixel from its first of four planes, one for each quarter-pixel corner of a render pixel:
-// at one of them if DOUBLED, else linear between them, `right` and `lower` from the first.
-template <bool DOUBLED, class Number>
-__device__ inline float at_corner(const Number* first, size_t plane, int corner, float right, float lower) {
-    if (DOUBLED) return as_float(first[corner * plane]);
+// A head's value at an output pixel from its first of four planes, one for each quarter-pixel corner of a render pixel,
+// linear between them, `right` and `lower` from the first.
+template <class Number>
+__device__ inline float between_corners(const Number* first, size_t plane, float right, float lower) {
     const float above = as_float(first[0]), beside = as_float(first[plane]);
     const float before = above + (as_float(first[2 * plane]) - above) * lower;
     const float after = beside + (as_float(first[3 * plane]) - beside) * lower;
     return before + (after - before) * right;
 }
 
-// What guides say of an output pixel's reflectance, and how far they are trusted.
-struct Guide {
-    Colour factor;
-    float trust;
-};
-
-// An output pixel from 3x3 samples by predicted weight and distance; DOUBLED where both sides are twice the render's.
 // The four weights of cubic convolution with a = -0.75, the ONNX GridSample and OpenCV default.
 __device__ inline Four cubic_weights(float t) {
     const float a = -0.75f, u = t + 1.0f, v = 1.0f - t, s = 2.0f - t;
@@ -241,20 +250,33 @@ __device__ inline Four cubic_weights(float t) {
             ((a + 2.0f) * v - (a + 3.0f)) * v * v + 1.0f, ((a * s - 5.0f * a) * s + 8.0f * a) * s - 4.0f * a};
 }
 
-// Four pixels of a row, weighted, added to a sum; `columns` are those of their first channels.
-__device__ inline void add_taps(const float* row, const int (&columns)[4], const Four& weights, float weight,
-                                Colour& sum) {
+// Four pixels of a row, weighted; `columns` are those of their first channels.
+__device__ inline Colour row_of(const float* row, const int (&columns)[4], const Four& weights) {
     const float* p = row + columns[0];
     const float* q = row + columns[1];
     const float* r = row + columns[2];
     const float* s = row + columns[3];
-    sum.r += weight * (weights.x * p[0] + weights.y * q[0] + weights.z * r[0] + weights.w * s[0]);
-    sum.g += weight * (weights.x * p[1] + weights.y * q[1] + weights.z * r[1] + weights.w * s[1]);
-    sum.b += weight * (weights.x * p[2] + weights.y * q[2] + weights.z * r[2] + weights.w * s[2]);
+    return {weights.x * p[0] + weights.y * q[0] + weights.z * r[0] + weights.w * s[0],
+            weights.x * p[1] + weights.y * q[1] + weights.z * r[1] + weights.w * s[1],
+            weights.x * p[2] + weights.y * q[2] + weights.z * r[2] + weights.w * s[2]};
 }
 
-// A picture (height, width, 3) where the pixel of the frame's output was before, bicubic, edge repeated.
-__device__ inline Colour moved_picture(const float* picture, int y, int x, const Window& part, const View& moved) {
+// Four rows, weighted.
+__device__ inline Colour column_of(const Colour& first, const Colour& second, const Colour& third, const Colour& last,
+                                   const Four& weights) {
+    return {weights.x * first.r + weights.y * second.r + weights.z * third.r + weights.w * last.r,
+            weights.x * first.g + weights.y * second.g + weights.z * third.g + weights.w * last.g,
+            weights.x * first.b + weights.y * second.b + weights.z * third.b + weights.w * last.b};
+}
+
+// Where a pixel was in a picture before: by how much it moved, and the first row and column of its 4x4 taps.
+struct Before {
+    float right, down;
+    int top, left;
+};
+
+// The same of a pixel of the frame's output.
+__device__ inline Before before_of(int y, int x, const Window& part, const View& moved) {
     const int height = part.height, width = part.width;
     const unsigned h = part.h, w = part.w, v = unsigned(y), u = unsigned(x);
     // The render pixel that holds this pixel's centre.
@@ -262,113 +284,25 @@ __device__ inline Colour moved_picture(const float* picture, int y, int x, const
     const int row = within(from_y - part.top, moved.size[0]), column = within(from_x - part.left, moved.size[1]);
     const Pair motion = pair(moved, size_t(row) * moved.size[1] + column);
     const float right = motion.x * (float(width) / float(w)), down = motion.y * (float(height) / float(h));
-    const float whole_right = floorf(right), whole_down = floorf(down);
-    const Four wx = cubic_weights(right - whole_right), wy = cubic_weights(down - whole_down);
-    const int left = x + int(whole_right) - 1, top = y + int(whole_down) - 1;
+    return {right, down, y + int(floorf(down)) - 1, x + int(floorf(right)) - 1};
+}
+
+struct Size {
+    int height, width;
+};
+
+// A picture (height, width, 3) where a pixel was before, bicubic, edge repeated.
+__device__ inline Colour moved_picture(const float* picture, const Size& size, const Before& before) {
+    const int height = size.height, width = size.width, top = before.top, left = before.left;
     const int columns[4] = {3 * within(left, width), 3 * within(left + 1, width), 3 * within(left + 2, width),
                             3 * within(left + 3, width)};
     const size_t line = 3 * size_t(width);
-    Colour sum = {0.0f, 0.0f, 0.0f};
-    add_taps(picture + within(top, height) * line, columns, wx, wy.x, sum);
-    add_taps(picture + within(top + 1, height) * line, columns, wx, wy.y, sum);
-    add_taps(picture + within(top + 2, height) * line, columns, wx, wy.z, sum);
-    add_taps(picture + within(top + 3, height) * line, columns, wx, wy.w, sum);
-    return sum;
-}
-
-// Radiance that is multiplied BY something is without reflectance, then with that of the render size.
-enum Multiplied { BY_NOTHING, BY_GUIDES, BY_OWN };
-
-// LINEAR light is neither sharpened nor encoded.
-template <bool DOUBLED, class Number, Multiplied BY, bool LINEAR>
-__device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
-                                    const View& moved, const View& past, const View& params, const View& keep,
-                                    const Guide& guide) {
-    const int w = part.w, h = part.h, width = part.width, height = part.height;
-    float u = x % 2 ? 0.25f : -0.25f, v = y % 2 ? 0.25f : -0.25f;
-    const int frame_column = DOUBLED ? x / 2 : centre(x, w, width, u);
-    const int frame_row = DOUBLED ? y / 2 : centre(y, h, height, v);
-    const int column = within(frame_column - part.left, moved.size[1]);
-    const int row = within(frame_row - part.top, moved.size[0]);
-    const float right = fminf(fmaxf(2.0f * u + 0.5f, 0.0f), 1.0f), lower = fminf(fmaxf(2.0f * v + 0.5f, 0.0f), 1.0f);
-    const int corner = 2 * (y % 2) + x % 2;
-    u = params.at[JITTER_X] - u;
-    v = params.at[JITTER_Y] - v;
-    float wide_x[3], wide_y[3];
-    wide_gauss(u, wide_x);
-    wide_gauss(v, wide_y);
-    const size_t plane = size_t(fine.size[2]) * fine.size[3];  // 80 of them may hold more than 2^31 numbers
-    const Number* const head = numbers<Number>(fine) + size_t(row) * fine.size[3] + column;
-    const int picture = radiance.size[1] * radiance.size[2];
-    const float* const samples = radiance.at + row * radiance.size[2] + column;
-    const float narrow[3] = {gauss(u - 1.0f), gauss(u), gauss(u + 1.0f)};
-    Colour sum = {0.0f, 0.0f, 0.0f}, soft = {0.0f, 0.0f, 0.0f};
-    float total = TINY;
-#pragma unroll
-    for (int j = 0; j < 3; j++) {
-        const float across = gauss(j - 1 + v);
-#pragma unroll
-        for (int i = 0; i < 3; i++) {
-            const Number* const tap = head + (TAP_WEIGHTS + 4 * (3 * j + i)) * plane;
-            const float weight = at_corner<DOUBLED>(tap, plane, corner, right, lower) * (across * narrow[i]);
-            const float even = wide_y[j] * wide_x[i];
-            const float* const sample = samples + j * radiance.size[2] + i;
-            Colour light = {sample[0], sample[picture], sample[2 * picture]};
-            if (BY == BY_GUIDES) {
-                const Colour own = {sample[3 * picture], sample[4 * picture], sample[5 * picture]};
-                light = {own.r + (light.r * guide.factor.r - own.r) * guide.trust,
-                         own.g + (light.g * guide.factor.g - own.g) * guide.trust,
-                         own.b + (light.b * guide.factor.b - own.b) * guide.trust};
-            }
-            if (BY == BY_OWN)
-                light = {light.r * guide.factor.r, light.g * guide.factor.g, light.b * guide.factor.b};
-            total += weight;
-            sum = {sum.r + weight * light.r, sum.g + weight * light.g, sum.b + weight * light.b};
-            soft = {soft.r + even * light.r, soft.g + even * light.g, soft.b + even * light.b};
-        }
-    }
-    const float blend = at_corner<DOUBLED>(head + BLEND * plane, plane, corner, right, lower);
-    const int at = row * moved.size[1] + column;
-    const float px = x + moved.at[2 * at] * (float(width) / w), py = y + moved.at[2 * at + 1] * (float(height) / h);
-    const bool inside = px >= -0.5f && px <= width - 0.5f && py >= -0.5f && py <= height - 0.5f;  // not if NaN
-    const bool held = inside && past.at[4 * at + 3] >= 0.0f;
-    const float kept = held ? share_of(keep, row, column) * (1.0f - blend) : 0.0f;
-    if (LINEAR) return {{sum.r / total, sum.g / total, sum.b / total}, kept};
-    const float sharpen = at_corner<DOUBLED>(head + SHARPEN * plane, plane, corner, right, lower);
-    const Colour sharp = {log_encode(sum.r / total), log_encode(sum.g / total), log_encode(sum.b / total)};
-    return {{fmaxf(sharp.r + sharpen * (sharp.r - log_encode(soft.r)), 0.0f),
-             fmaxf(sharp.g + sharpen * (sharp.g - log_encode(soft.g)), 0.0f),
-             fmaxf(sharp.b + sharpen * (sharp.b - log_encode(soft.b)), 0.0f)},
-            kept};
-}
-
-// The same at any scale; x and y count the frame's output pixels.
-template <class Number, Multiplied BY = BY_NOTHING, bool LINEAR = false>
-__device__ inline Enlarged enlarged(int x, int y, const Window& part, const View& radiance, const View& fine,
-                                    const View& moved, const View& past, const View& params, const View& keep,
-                                    const Guide& guide = {}) {
-    if (part.width == 2 * part.w && part.height == 2 * part.h)
-        return enlarged<true, Number, BY, LINEAR>(x, y, part, radiance, fine, moved, past, params, keep, guide);
-    return enlarged<false, Number, BY, LINEAR>(x, y, part, radiance, fine, moved, past, params, keep, guide);
-}
-
-// Blends one channel with the reprojected history and decodes it; `at` counts floats.
-__device__ inline void blend_history(float current, float kept, size_t at, float darken, const View& warped,
-                                     const View& output, const View& history) {
-    const float now = current <= MOST_LOG ? current : 0.0f, mixed = now + (warped.at[at] - now) * kept;
-    const float blended = mixed <= MOST_LOG ? fmaxf(mixed, 0.0f) : now;  // rounding makes no light negative
-    history.at[at] = blended;
-    output.at[at] = expm1f(blended) * darken;
-}
-
-// The same for all channels of an output pixel.
-__device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const View& params, const View& warped,
-                                   const View& output, const View& history) {
-    const float darken = 1.0f / params.at[EXPOSURE];
-    const size_t at = 3 * pixel;
-    blend_history(found.colour.r, found.kept, at, darken, warped, output, history);
-    blend_history(found.colour.g, found.kept, at + 1, darken, warped, output, history);
-    blend_history(found.colour.b, found.kept, at + 2, darken, warped, output, history);
+    const Four across = cubic_weights(before.right - floorf(before.right));
+    return column_of(row_of(picture + within(top, height) * line, columns, across),
+                     row_of(picture + within(top + 1, height) * line, columns, across),
+                     row_of(picture + within(top + 2, height) * line, columns, across),
+                     row_of(picture + within(top + 3, height) * line, columns, across),
+                     cubic_weights(before.down - floorf(before.down)));
 }
 
 // What is not finite counts as 0.

@@ -375,13 +375,13 @@ class Execution:
             with fork:
                 return [Span(dispatch.encoder, dispatch.label, *fork.run(index, _work(dispatch)))
                         for index, dispatch in enumerate(dispatches)]
-        spans = []
+        spans, begin = [], self._memory.mark()
         for encoder, group in groupby(dispatches, attrgetter("encoder")):
-            begin, label = self._memory.mark(), ""
             for dispatch in group:
                 _work(dispatch)()
-                label = dispatch.label
-            spans.append(Span(encoder, label, begin, self._memory.mark()))
+            end = self._memory.mark()  # where the next one begins: a mark takes a GPU as long as a small kernel
+            spans.append(Span(encoder, dispatch.label, begin, end))
+            begin = end
         return spans
 
     def _one_by_one(self) -> list[Span]:

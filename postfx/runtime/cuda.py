@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor
 
 T = TypeVar("T")
+SMALL = 1 << 14
+"""Bytes of arrays, such as parameters, that are written without waiting."""
 PIXELS, ONE_BLOCK = (32, 8), (32, 32)
 """Threads of a block (columns, rows): for kernels with one thread per pixel, and for those of a single block."""
 
@@ -96,10 +98,14 @@ class CudaMemory:
             return CudaChunk(self._device.allocate(nbytes, stream=self._stream), nbytes)
 
     def write(self, pointer: int, array: np.ndarray) -> None:
-        """Copy a C-contiguous host array to `pointer` once the stream's earlier work is done."""
+        """Copy a C-contiguous host array to `pointer` once the stream's earlier work is done. Nothing waits for a small
+        one: the driver keeps what it is given from pageable memory, as a new array's is."""
         with self._hold():
-            check_result(driver().cuMemcpyHtoDAsync(pointer, address(array), array.nbytes, self.stream))
-            self._stream.sync()
+            small = array.nbytes <= SMALL
+            given = array.copy() if small else array
+            check_result(driver().cuMemcpyHtoDAsync(pointer, address(given), array.nbytes, self.stream))
+            if not small:
+                self._stream.sync()
 
     def read(self, pointer: int, array: np.ndarray) -> None:
         """Copy from `pointer` into a C-contiguous host array once the stream's earlier work is done."""
@@ -152,7 +158,7 @@ class CudaMemory:
         """A function that puts a kernel of a source file on the stream.
 
         Args:
-            extent: rows and columns. There is a thread for each pixel, or one block if there are no columns.
+            extent: rows and columns of threads; there is one block if there are no columns.
             blocks: what there is instead.
 
         Raises ModelError when it cannot be compiled.
@@ -163,11 +169,16 @@ class CudaMemory:
         rows, columns = extent
         block = PIXELS if columns else ONE_BLOCK
         grid = (-(-columns // block[0]), -(-rows // block[1])) if columns else (1, 1)
+        views, between = [_view(tensor) for tensor in tensors], None
         if blocks:
-            across = -(-columns // blocks.columns) if blocks.columns else 1
-            block, grid = (blocks.threads, 1), (across, min(-(-rows // blocks.rows), blocks.most))
+            block, grid = (blocks.threads, 1), blocks.grid(rows, columns)
             handle, shared = _allow_shared(kernel.handle, blocks.shared, self.place[1])
-        return self._launcher(name, kernel, handle, grid, block, shared, [_view(tensor) for tensor in tensors])
+        if blocks and blocks.between:
+            zeros = np.zeros(blocks.between, np.float32)
+            between = self.allocate(zeros.nbytes)
+            self.write(between.pointer, zeros)
+            views.append(View(between.pointer, (ctypes.c_int * 4)(blocks.between)))
+        return self._launcher(name, (kernel, between), handle, grid, block, shared, views)
 
     @property
     def convolves(self) -> bool:
@@ -211,12 +222,12 @@ class CudaMemory:
         views = [View() if tensor is None else _view(tensor) for tensor in tensors]
         return self._launcher(launch.name, kernel, handle, (blocks, 1), (threads, 1), shared, [*views, options])
 
-    def _launcher(self, name: str, kernel: Any, handle: Any, grid: tuple[int, int], block: tuple[int, int], shared: int,
+    def _launcher(self, name: str, kept: Any, handle: Any, grid: tuple[int, int], block: tuple[int, int], shared: int,
                   given: Sequence[ctypes.Structure]) -> Callable[[], None]:
         arguments = (ctypes.c_void_p * len(given))(*map(ctypes.addressof, given))
         launch = partial(driver().cuLaunchKernel, handle, *grid, 1, *block, 1, shared, self.stream)
 
-        def run(held: tuple[object, ...] = (kernel, given)) -> None:  # keeps the arguments' memory alive
+        def run(held: tuple[object, ...] = (kept, given)) -> None:  # keeps the arguments' memory alive
             self._enter()
             (status,) = launch(ctypes.addressof(arguments), 0)
             if int(status):

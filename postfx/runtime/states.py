@@ -205,12 +205,13 @@ class CudaComputeState(ComputeState):
 
     def __init__(self, device: StateDevice, kernel: Kernel, memory: CudaMemory, source: Path) -> None:
         super().__init__(device, kernel)
-        self._memory, self._source, self._blocks = memory, source, kernel.blocks
+        self._memory, self._source, self._blocks, self._pixels = memory, source, kernel.blocks, kernel.pixels
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that puts the kernel on the GPU's stream."""
         rows, *columns = self._extent(tensors)
-        extent = (rows, columns[0] if columns else 0)
+        down, across = self._pixels
+        extent = (-(-rows // down), -(-columns[0] // across) if columns else 0)
         return self._memory.launcher(self.name, self._source, extent, self._blocks, tensors)
 
 

@@ -87,6 +87,9 @@ class Case(NamedTuple):
                 **dict.fromkeys(("reached_h", "reached_w"), 1 if self.h % 2 else 9),
                 "near_h": 1 if self.w % 3 == 2 else -(-self.h // NEAR_CELL),
                 "near_w": 1 if self.w % 3 == 2 else -(-self.w // NEAR_CELL),
+                **{f"level{i}_{side}": size for i in range(1, 5)
+                   for side, size in zip("hw", window.level(i), strict=True)},
+                "alpha_h": -(-self.h // NEAR_CELL), "alpha_w": -(-self.w // NEAR_CELL),
                 "tile_h": window.rows, "tile_w": window.columns,
                 "rows": self.h, "columns": self.w,
                 "cells_h": -(-window.rows // 8), "cells_w": -(-window.columns // 8),
@@ -111,7 +114,7 @@ that end beyond the frame, with first rows and columns that differ."""
 
 def runs_of(kernel: Kernel) -> list[tuple[Case, bool]]:
     """Cases of a kernel, each with clean planes and with bad ones."""
-    mixes = kernel.name.startswith(MIX_LEVELS.name)
+    mixes = "coarse" in kernel.reads
     return [(case, bad) for case in CASES if not mixes or case.heads > 25 for bad in (False, True)]
 
 
@@ -133,6 +136,10 @@ def arguments(kernel: Kernel, case: Case, seed: int = 0, bad: bool = False) -> d
     case = case_for(kernel, case)
     random = np.random.default_rng([seed, *case[:5], *(case.part or ())])
     values = {name: _value(name, shape(kernel, name, case), case, random) for name in kernel.reads}
+    if "near" in kernel.writes:  # alike in some areas
+        (h, w, _), alpha = values["alpha"].shape, values["alpha"]
+        areas = random.random((-(-h // 20), -(-w // 20), 1)).repeat(20, axis=0).repeat(20, axis=1)[:h, :w]
+        values["alpha"] = np.where(areas > 0.5, alpha, areas > 0.2)
     for name in set(FRAME) & values.keys() if bad else ():
         flat = values[name].reshape(-1)
         flat[random.integers(0, flat.size, max(1, flat.size // 9))] = random.choice(BAD, max(1, flat.size // 9))
@@ -167,6 +174,9 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
     if name == "area":
         return np.array([min(case.window.rows, case.h - case.window.top),
                          min(case.window.columns, case.w - case.window.left)])
+    if name == "firsts":
+        rows, columns = zip(*map(case.window.finer, range(1, 5)), strict=True)
+        return np.array([places[0] for places in (*rows, *columns)])
     if name in ("finer_rows", "finer_columns"):
         return 2 * np.arange(size[0]) - case.second
     if name in ("coarse_rows", "coarse_columns"):

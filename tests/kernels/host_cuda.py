@@ -1,7 +1,7 @@
 """Runs CUDA kernels on the host: their sources compiled as C++, blocks in turn.
 
-A block has one thread, or, where the kernel says how many, that many: they take turns at `__syncthreads` and where a
-warp multiplies. What a GPU does with memory is not seen here; the arithmetic is.
+Threads of a block take turns at `__syncthreads` and wherever those of a warp have something in common. What a GPU does
+with memory is not seen here; the arithmetic is.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from postfx.kernels import Kernel, find_source, read_source
+from postfx.runtime.cuda import PIXELS
 from postfx.system import private_folder
 
 COMPILER = shutil.which("g++")
 OPTIONS = ("-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas")
-KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([\w, ]+\) )?(\w+)\(([^)]*)\)')
+KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(([^)]*)\)')
 SHIM = """
 #include <algorithm>
 #include <cmath>
@@ -36,6 +37,7 @@ SHIM = """
 #define __shared__ static
 #define __launch_bounds__(...)
 #define __noinline__
+#define __threadfence()
 using std::min;
 using std::max;
 using std::abs;
@@ -49,14 +51,18 @@ static bool ended[1024];
 static int alive, arrived, turn, at_meeting[32][32], meetings[32][32];
 static void (*body)();
 
+static int own_number() { return threadIdx.y * blockDim.x + threadIdx.x; }
+
+static void become(int own) { threadIdx.x = own % blockDim.x, threadIdx.y = own / blockDim.x; }
+
 static void give_way() {
-    const int own = threadIdx.x;
+    const int own = own_number();
     swapcontext(&contexts[own], &scheduler);
-    threadIdx.x = own;
+    become(own);
 }
 
 static void begin() {
-    const int own = threadIdx.x;
+    const int own = own_number();
     body();
     ended[own] = true;
     if (--alive && arrived == alive) arrived = 0, turn++;
@@ -80,11 +86,11 @@ static void run_block(int threads) {
     }
     while (alive) {
         for (int k = 0; k < threads; k++) {
-            threadIdx.x = k;
+            become(k);
             if (!ended[k]) swapcontext(&scheduler, &contexts[k]);
         }
     }
-    threadIdx.x = 0;
+    become(0);
 }
 
 // What kernels with tensor cores expect: shared memory, and a warp's product, whose factors lose their last bits.
@@ -102,7 +108,7 @@ static float shortened(unsigned bits) {
 
 // Wait for the other lanes of a warp that a mask names.
 static void meet(unsigned lanes = ~0u) {
-    const int warp = threadIdx.x / 32, group = __builtin_ctz(lanes), now = meetings[warp][group];
+    const int warp = own_number() / 32, group = __builtin_ctz(lanes), now = meetings[warp][group];
     if (++at_meeting[warp][group] == __builtin_popcount(lanes)) at_meeting[warp][group] = 0, meetings[warp][group]++;
     while (meetings[warp][group] == now) give_way();
 }
@@ -127,7 +133,7 @@ template <class T> static T atomicAdd(T* at, T more) {
 static char exchanged[32][32][8];
 
 template <class T> static T exchange(unsigned lanes, T value, int from, int width = 32) {
-    const int warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+    const int warp = own_number() / 32, lane = threadIdx.x % 32;
     std::memcpy(exchanged[warp][lane], &value, sizeof value);
     meet(lanes);
     if (from >= 0 && from / width == lane / width) std::memcpy(&value, exchanged[warp][from], sizeof value);
@@ -148,7 +154,7 @@ template <class T> static T __shfl_down_sync(unsigned lanes, T value, int by, in
 }
 
 static void add_product(float (&sums)[4], const unsigned (&left)[4], const unsigned (&right)[2]) {
-    const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, g = lane / 4, q = lane % 4;
+    const int warp = own_number() / 32, lane = threadIdx.x % 32, g = lane / 4, q = lane % 4;
     for (int k = 0; k < 4; k++) all_left[warp][g + k % 2 * 8][q + k / 2 * 4] = shortened(left[k]);
     for (int k = 0; k < 2; k++) all_right[warp][q + k * 4][g] = shortened(right[k]);
     meet();
@@ -185,22 +191,25 @@ def view(array: np.ndarray) -> View:
 def run(kernel: Kernel, arrays: Mapping[str, np.ndarray]) -> None:
     """Run a kernel on arrays by binding name; those that it writes are changed."""
     name, axis = kernel.row_axis
-    shape = arrays[name].shape
-    rows, columns = shape[axis], shape[axis + 1] if axis + 1 < len(shape) else 1
-    threads, shared, blocks = 1, 0, kernel.blocks
-    if blocks:
-        threads, shared, rows = blocks.threads, blocks.shared, min(-(-rows // blocks.rows), blocks.most)
-        columns = -(-columns // blocks.columns) if blocks.columns else 1
+    rows, *columns = arrays[name].shape[axis:]
     function = getattr(_library(find_source(kernel)), f"run_{kernel.name}")
     bindings = dict.fromkeys(kernel.reads + kernel.writes)  # what is changed in place is one of them
-    function.argtypes = [*[ctypes.c_int] * 4, *[View] * len(bindings)]
-    function(columns, rows, threads, shared, *(view(arrays[binding]) for binding in bindings))
+    views, blocks, (down, across) = [view(arrays[binding]) for binding in bindings], kernel.blocks, kernel.pixels
+    wide, high = block = PIXELS if columns else (1, 1)
+    grid = (-(-columns[0] // (across * wide)), -(-rows // (down * high))) if columns else (1, 1)
+    if blocks:
+        block, grid = (blocks.threads, 1), blocks.grid(rows, columns[0] if columns else 0)
+    if blocks and blocks.between:
+        between = np.zeros(blocks.between, np.float32)
+        views.append(view(between))
+    function.argtypes = [*[ctypes.c_int] * 5, *[View] * len(views)]
+    function(*grid, *block, blocks.shared if blocks else 0, *views)
 
 
 @cache
 def _library(family: Path) -> ctypes.CDLL:
-    """For each kernel of a family, a function (columns, rows, threads, bytes of shared memory, views ...) that calls it
-    for every pixel, or for every block."""
+    """For each kernel of a family, a function (columns and rows of blocks, those of a block's threads, bytes of shared
+    memory, views ...) that calls it for every block."""
     source = SHIM + read_source(family)
     source += "".join(_loop(name, views.count("View")) for name, views in KERNEL.findall(source))
     return compile_source(source, family.stem)
@@ -224,11 +233,11 @@ def compile_source(source: str, stem: str) -> ctypes.CDLL:
 def _loop(name: str, count: int) -> str:
     views = [f"v{i}" for i in range(count)]
     given = ", ".join(f"View {view}" for view in views)
-    return (f'extern "C" void run_{name}(int columns, int rows, int threads, int shared, {given}) {{\n'
+    return (f'extern "C" void run_{name}(int columns, int rows, int wide, int high, int shared, {given}) {{\n'
             f"    static struct {{ View {', '.join(f'*{view}' for view in views)}; }} held;\n"
             f"    held = {{{', '.join(f'&{view}' for view in views)}}};\n"
             f"    body = [] {{ {name}({', '.join(f'*held.{view}' for view in views)}); }};\n"
-            "    gridDim = {columns, rows, 1}, blockDim = {threads, 1, 1}, shared_bytes = shared;\n"
+            "    gridDim = {columns, rows, 1}, blockDim = {wide, high, 1}, shared_bytes = shared;\n"
             "    for (blockIdx.y = 0; blockIdx.y < rows; blockIdx.y++)\n"
             "        for (blockIdx.x = 0; blockIdx.x < columns; blockIdx.x++)\n"
-            "            if (threads > 1) run_block(threads); else body();\n}\n")
+            "            if (wide * high > 1) run_block(wide * high); else body();\n}\n")

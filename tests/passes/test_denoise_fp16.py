@@ -63,14 +63,15 @@ def test_small_file_gives_the_same_pictures(folder: Path, name: str, small_model
     assert difference(*results)["worst_psnr_db"] > 60
 
 
-@pytest.mark.parametrize("name", ["denoise_upscale.small", "denoise_upscale.small.guides"])
+@pytest.mark.parametrize(("name", "scale"), [
+    ("denoise_upscale.small", 1.0), ("denoise_upscale.small", 2.0), ("denoise_upscale.small.guides", 2.0)])
 def test_kernels_around_half_precision_on_a_gpu(
-    name: str, folder: Path, small_models: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, scale: float, folder: Path, small_models: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two frames, the second of which has a history. All kernels are written for CUDA: by its portable form ONNX
     Runtime takes ten times as long. Their rows stand for a GPU, and give the same pictures."""
     frames = [guided(noisy(t), 74, 100) if name.endswith("guides") else noisy(t) for t in (1, 2)]
-    shots, tag = [Shot(2.0 if name.endswith("guides") else 1, frames)], fp16.variant_name(name, "fp16")
+    shots, tag = [Shot(scale, frames)], fp16.variant_name(name, "fp16")
     plain = pictures(shots, Library(folder), tag)
     kernels: list[Kernel] = []
 
@@ -83,7 +84,7 @@ def test_kernels_around_half_precision_on_a_gpu(
     found = difference(pictures(shots, Library(folder), tag), plain)
     assert 80 < found["worst_psnr_db"] < 200, "close, yet other kernels"
     assert not [kernel.name for kernel in kernels if find_source(kernel) is None]
-    assert {kernel.name for kernel in kernels} > {"denoise_open_half", "denoise_open_fine_half"}
+    assert {kernel.name for kernel in kernels} > {"denoise_open_half", "denoise_open_fine_half", "denoise_pools"}
 
 
 def test_a_network_for_1x_shares_the_weights_of_its_own(folder: Path, tmp_path: Path) -> None:

@@ -253,8 +253,8 @@ def test_a_foreign_kernel_never_gets_a_form_of_ours(tmp_path, kernels):
     other.mkdir()
     (other / "own.cu").write_text('extern "C" __global__ void resample(View image, View output) {}\n')
     own = dataclasses.replace(foreign, folder=other)
-    assert find_source(own) == other / "own.cu" and "TAP_WEIGHTS" not in read_source(other / "own.cu")
-    assert "struct View" in read_source(other / "own.cu") and "TAP_WEIGHTS" in read_source(find_source(RESAMPLE))
+    assert find_source(own) == other / "own.cu" and "MOST_REFLECTANCE" not in read_source(other / "own.cu")
+    assert "struct View" in read_source(other / "own.cu") and "MOST_REFLECTANCE" in read_source(find_source(RESAMPLE))
     assert toys.ADD.home == Path(toys.__file__).parent
 
 

@@ -243,3 +243,48 @@ extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit
     found += gain.at[FITTED] * own.structure * (clamped(by_colour(picture, fit, rows, columns, y, x), 0.0f, 1.0f) - found);
     *to = found;
 }
+
+// Where alpha is worked on: alpha (h, w, 1) -> near (cells, cells), 2 where 3x3 cells are not all alike, 1 beside those,
+// else 0. A block's cells and two around them lie in shared memory; those beyond the picture differ from nothing.
+struct Bounds {
+    float low, high;
+};
+
+__device__ inline Bounds join(const Bounds& one, const Bounds& other) {
+    return {fminf(one.low, other.low), fmaxf(one.high, other.high)};
+}
+
+__device__ inline Bounds bounds_of_cell(const View& alpha, int y, int x) {
+    const int bottom = min(NEAR_CELL * (y + 1), alpha.size[0]), right = min(NEAR_CELL * (x + 1), alpha.size[1]);
+    Bounds found = {1.0f, 0.0f};
+    for (int v = NEAR_CELL * y; v < bottom; v++)
+        for (int u = NEAR_CELL * x; u < right; u++) {
+            const float value = alpha.at[size_t(v) * alpha.size[1] + u];
+            found = join(found, {value, value});
+        }
+    return found;
+}
+
+extern "C" __global__ void denoise_near(View alpha, View near) {
+    __shared__ Bounds cells[DOWN + 4][ACROSS + 4];
+    __shared__ bool differ[DOWN + 2][ACROSS + 2];
+    const int rows = near.size[0], columns = near.size[1], thread = threadIdx.y * ACROSS + threadIdx.x;
+    const int top = blockIdx.y * DOWN, left = blockIdx.x * ACROSS;
+    for (int n = thread; n < (DOWN + 4) * (ACROSS + 4); n += DOWN * ACROSS) {
+        const int j = n / (ACROSS + 4), i = n % (ACROSS + 4), y = top + j - 2, x = left + i - 2;
+        const bool inside = y >= 0 && y < rows && x >= 0 && x < columns;
+        cells[j][i] = inside ? bounds_of_cell(alpha, y, x) : Bounds{LARGEST_FLOAT, -LARGEST_FLOAT};
+    }
+    __syncthreads();
+    for (int n = thread; n < (DOWN + 2) * (ACROSS + 2); n += DOWN * ACROSS) {
+        const int j = n / (ACROSS + 2), i = n % (ACROSS + 2), y = top + j - 1, x = left + i - 1;
+        Bounds all = cells[j][i];
+        for (int k = 1; k < 9; k++) all = join(all, cells[j + k / 3][i + k % 3]);
+        differ[j][i] = y >= 0 && y < rows && x >= 0 && x < columns && all.low != all.high;
+    }
+    __syncthreads();
+    PIXEL(columns, rows);
+    bool beside = false;
+    for (int k = 0; k < 9; k++) beside = beside || differ[threadIdx.y + k / 3][threadIdx.x + k % 3];
+    near.at[y * columns + x] = float(differ[threadIdx.y + 1][threadIdx.x + 1]) + float(beside);
+}

@@ -58,6 +58,12 @@ __device__ inline Colour touched_mean(const View& warped, unsigned y, unsigned x
     const unsigned h = part.h, w = part.w, height = part.height, width = part.width;
     const int left = int(x * width / w) - part.out_left, right = int(((x + 1) * width + w - 1) / w) - part.out_left;
     const int top = int(y * height / h) - part.out_top, bottom = int(((y + 1) * height + h - 1) / h) - part.out_top;
+    if (is_doubled(part)) {  // four pixels, all read at once
+        const size_t upper = 3 * (size_t(top) * warped.size[1] + left) / 2, lower = upper + 3 * warped.size[1] / 2;
+        const Pair a = pair(warped, upper), b = pair(warped, upper + 1), c = pair(warped, upper + 2);
+        const Pair d = pair(warped, lower), e = pair(warped, lower + 1), f = pair(warped, lower + 2);
+        return {(a.x + b.y + d.x + e.y) * 0.25f, (a.y + c.x + d.y + f.x) * 0.25f, (b.x + c.y + e.x + f.y) * 0.25f};
+    }
     Colour sum = {0.0f, 0.0f, 0.0f};
     for (int j = top; j < bottom; j++) {
         const float* row = warped.at + 3 * (size_t(j) * warped.size[1]);

@@ -52,15 +52,66 @@ __device__ inline float rescaled(float encoded, float gain) {
     return gain == 1.0f ? held : log1pf(expm1f(held) * gain);
 }
 
-extern "C" __global__ void denoise_history(View history, View moved, View params, View window, View out_rows,
-                                           View out_columns, View warped) {
-    PIXEL(warped.size[1], warped.size[0]);
-    const Colour sum = moved_picture(history.at, int(out_rows.at[y]), int(out_columns.at[x]), window_of(window), moved);
+// A thread makes two pixels, one below the other. Most of a block's were about as far away as its middle one: those that
+// were so up to SLACK pixels find what they read in shared memory, the others read the history.
+const int SLACK = 2, BEFORE_WIDE = ACROSS + 3 + 2 * SLACK, BEFORE_HIGH = 2 * DOWN + 3 + 2 * SLACK;
+
+extern "C" __global__ void __launch_bounds__(256, 3) denoise_history(View history, View moved, View params, View window,
+                                                                     View out_rows, View out_columns, View warped) {
+    __shared__ float tile[BEFORE_HIGH][3 * BEFORE_WIDE], staged[DOWN][3 * ACROSS];
+    const Window part = window_of(window);
+    const int rows = warped.size[0], columns = warped.size[1];
+    const int first_y = 2 * DOWN * blockIdx.y, first_x = ACROSS * blockIdx.x;
+    const int middle_y = min(first_y + DOWN, rows - 1), middle_x = min(first_x + ACROSS / 2, columns - 1);
+    const Before middle = before_of(int(out_rows.at[middle_y]), int(out_columns.at[middle_x]), part, moved);
+    const int top = middle.top - (middle_y - first_y) - SLACK, left = middle.left - (middle_x - first_x) - SLACK;
+#pragma unroll
+    for (int j = 0; j < BEFORE_HIGH; j += DOWN) {
+        const int row = j + threadIdx.y;
+        const float* const from = history.at + size_t(3) * within(top + row, part.height) * part.width;
+#pragma unroll
+        for (int i = 0; i < 3 * BEFORE_WIDE; i += ACROSS) {
+            const int column = i + threadIdx.x;
+            if (row < BEFORE_HIGH && column < 3 * BEFORE_WIDE)
+                tile[row][column] = from[3 * within(left + column / 3, part.width) + column % 3];
+        }
+    }
+    __syncthreads();
+    const int y = first_y + 2 * threadIdx.y, x = min(first_x + int(threadIdx.x), columns - 1), count = min(rows - y, 2);
+    if (count <= 0) return;
+    const int u = int(out_columns.at[x]);
+    const Before first = before_of(int(out_rows.at[y]), u, part, moved);
+    const Before second = before_of(int(out_rows.at[y + count - 1]), u, part, moved);
+    const int row = first.top - top, column = first.left - left;
+    const bool held = row >= 0 && row + 5 <= BEFORE_HIGH && column >= 0 && column + 4 <= BEFORE_WIDE;
+    Colour found[2];
+    if (held && second.right == first.right && second.down == first.down && second.top == first.top + 1) {
+        const int places[4] = {0, 3, 6, 9};
+        const Four across = cubic_weights(first.right - floorf(first.right));
+        const Four down = cubic_weights(first.down - floorf(first.down));
+        Colour line[5];
+#pragma unroll
+        for (int j = 0; j < 5; j++) line[j] = row_of(tile[row + j] + 3 * column, places, across);
+        found[0] = column_of(line[0], line[1], line[2], line[3], down);
+        found[1] = column_of(line[1], line[2], line[3], line[4], down);
+    } else {
+#pragma unroll
+        for (int k = 0; k < 2; k++) {
+            const Before& one = k ? second : first;
+            const int j = one.top - top, i = one.left - left;
+            const bool inside = j >= 0 && j + 4 <= BEFORE_HIGH && i >= 0 && i + 4 <= BEFORE_WIDE;
+            found[k] = inside ? moved_picture(tile[0], {BEFORE_HIGH, BEFORE_WIDE}, {one.right, one.down, j, i})
+                              : moved_picture(history.at, {part.height, part.width}, one);
+        }
+    }
     const float gain = params.at[GAIN];
-    float* to = warped.at + 3 * (size_t(y) * warped.size[1] + x);
-    to[0] = rescaled(sum.r, gain);
-    to[1] = rescaled(sum.g, gain);
-    to[2] = rescaled(sum.b, gain);
+#pragma unroll
+    for (int k = 0; k < 2; k++) {
+        if (k == count) break;
+        const float own[3] = {rescaled(found[k].r, gain), rescaled(found[k].g, gain), rescaled(found[k].b, gain)};
+        float* const to = warped.at + 3 * (size_t(y + k) * columns + first_x);
+        put_row(staged[threadIdx.y], own, to, 3 * (columns - first_x));
+    }
 }
 
 // Motion, of smooth surfaces that of what they reflect: motion (h, w, 2), depth (h, w, 1), normal (h, w, 3),

@@ -20,6 +20,8 @@ mask, spread by a pixel because the history is interpolated between pixels.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from postfx.kernels.denoise import (
@@ -291,8 +293,8 @@ def history_rows(y0: int, y1: int, history: np.ndarray, moved: np.ndarray, param
             rescale_row(row, params[GAIN])
 
 
-HISTORY = kernel("history", ("history", "moved", "params", "window", "out_rows", "out_columns"), ("warped",),
-                 history_rows, ("warped", 0))
+HISTORY = replace(kernel("history", ("history", "moved", "params", "window", "out_rows", "out_columns"), ("warped",),
+                         history_rows, ("warped", 0)), pixels=(2, 1))
 
 
 FOCAL, FOCAL_THEN, JITTER, TURN, SHIFT, WORLD, CAMERA = 0, 2, 4, 6, 15, 18, 27

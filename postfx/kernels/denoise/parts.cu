@@ -70,48 +70,6 @@ extern "C" __global__ void denoise_accumulate_part_half(View part, View coding, 
     accumulate_part<Half>(part, coding, factor, past, moved, last_part, fine, window, next_part, part_level);
 }
 
-// Enlarges light of n parts of the picture and blends it with the last outputs, where their pixels are now, all linear:
-// radiance (3 n, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2), past (th, tw, 4), last (n, height, width, 3),
-// params (4,), window (8,), keep, out_rows (out_th,), out_columns (out_tw,) -> light (n, out_th, out_tw, 3).
-__device__ inline float blended_light(float current, float kept, float before, float darken) {
-    const float now = current <= MAX_FLOAT ? current * darken : 0.0f, mixed = now + (fmaxf(before, 0.0f) - now) * kept;
-    return mixed <= MAX_FLOAT ? fmaxf(mixed, 0.0f) : now;
-}
-
-template <class Number>
-__device__ inline void upsample_light(View radiance, View fine, View moved, View past, View last, View params,
-                                      View window, View keep, View out_rows, View out_columns, View light) {
-    const int height = light.size[1], width = light.size[2];
-    PIXEL(width, height);
-    const Window part = window_of(window);
-    const int v = int(out_rows.at[y]), u = int(out_columns.at[x]);
-    const float darken = 1.0f / params.at[EXPOSURE];
-    View samples = radiance;
-    for (int k = 0; k < light.size[0]; k++) {
-        samples.at = radiance.at + size_t(3) * k * radiance.size[1] * radiance.size[2];
-        const Enlarged found = enlarged<Number, BY_NOTHING, true>(u, v, part, samples, fine, moved, past, params, keep);
-        const float* const picture = last.at + size_t(3) * k * part.height * part.width;
-        Colour before = {0.0f, 0.0f, 0.0f};
-        if (found.kept > 0.0f) before = moved_picture(picture, v, u, part, moved);
-        float* const to = light.at + 3 * ((size_t(k) * height + y) * width + x);
-        to[0] = blended_light(found.colour.r, found.kept, before.r, darken);
-        to[1] = blended_light(found.colour.g, found.kept, before.g, darken);
-        to[2] = blended_light(found.colour.b, found.kept, before.b, darken);
-    }
-}
-
-extern "C" __global__ void denoise_upsample_light(View radiance, View fine, View moved, View past, View last,
-                                                  View params, View window, View keep, View out_rows, View out_columns,
-                                                  View light) {
-    upsample_light<float>(radiance, fine, moved, past, last, params, window, keep, out_rows, out_columns, light);
-}
-
-extern "C" __global__ void denoise_upsample_light_half(View radiance, View fine, View moved, View past, View last,
-                                                       View params, View window, View keep, View out_rows,
-                                                       View out_columns, View light) {
-    upsample_light<Half>(radiance, fine, moved, past, last, params, window, keep, out_rows, out_columns, light);
-}
-
 // Parts as parts of the picture: parts (n, H, W, 3), reached (n, h, w) or (n, 1, 1), whole and picture (H, W, 3),
 // complete (1,) -> balanced (n, H, W, 3).
 extern "C" __global__ void denoise_balance(View parts, View reached, View whole, View picture, View complete,

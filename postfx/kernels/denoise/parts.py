@@ -8,6 +8,8 @@ where they are not used. Several parts are filtered and enlarged at once, so tha
 for them.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from postfx.kernels.denoise import (
@@ -415,10 +417,11 @@ ACCUMULATE_PART = kernel(
     "accumulate_part", ("part", "coding", "factor", "past", "moved", "last_part", "fine", "window"),
     ("next_part", "part_level"), accumulate_rows, ("part_level", 1), part=("h", "w", 3), coding=(3,),
     last_part=("h", "w", 3), next_part=("th", "tw", 3), part_level=(3, "hp", "wp"))
-UPSAMPLE_LIGHT = kernel("upsample_light", ("radiance", "fine", "moved", "past", "last", "params", "window", "keep",
-                                           "out_rows", "out_columns"), ("light",), light_rows, ("light", 1),
-                        radiance=("3*parts", "padded_h", "padded_w"), last=("parts", "height", "width", 3),
-                        light=("parts", "out_th", "out_tw", 3))
+UPSAMPLE_LIGHT = replace(
+    kernel("upsample_light", ("radiance", "fine", "moved", "past", "last", "params", "window", "keep", "out_rows",
+                              "out_columns"), ("light",), light_rows, ("light", 1),
+           radiance=("3*parts", "padded_h", "padded_w"), last=("parts", "height", "width", 3),
+           light=("parts", "out_th", "out_tw", 3)), pixels=(2, 2))
 in_half(ACCUMULATE_PART, "fine")
 in_half(UPSAMPLE_LIGHT, "fine")
 BALANCE = kernel("balance", ("parts", "reached", "whole", "picture", "complete"), ("balanced",), balance_rows,

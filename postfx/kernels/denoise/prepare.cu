@@ -1,4 +1,4 @@
-// Harmonic mean depth of what was hit, 1 where nothing was: depth (h, w, 1) -> depth_scale (1,). One block.
+// Harmonic mean depth of what was hit, 1 where nothing was: depth (h, w, 1) -> depth_scale (1,).
 __device__ inline bool is_hit(float z) {
     return z > 0.0f && z < FARTHEST;
 }
@@ -16,39 +16,58 @@ __device__ inline int hits_of(const Four& depth) {
     return is_hit(depth.x) + is_hit(depth.y) + is_hit(depth.z) + is_hit(depth.w);
 }
 
-extern "C" __global__ void __launch_bounds__(1024) denoise_scale(View depth, View depth_scale) {
-    __shared__ double near[1024];
-    __shared__ int hits[1024];
-    const int threads = blockDim.x * blockDim.y, thread = threadIdx.y * blockDim.x + threadIdx.x;
-    const int count = depth.size[0] * depth.size[1], fours = count / 4;
-    double sum = 0.0;
-    int seen = 0;
-    int i = thread;
-    for (; i + 3 * threads < fours; i += 4 * threads) {  // four reads on their way at a time: there is but one block
-        const Four a = four(depth, i), b = four(depth, i + threads);
-        const Four c = four(depth, i + 2 * threads), d = four(depth, i + 3 * threads);
-        sum += (nearness(a) + nearness(b)) + (nearness(c) + nearness(d));
-        seen += hits_of(a) + hits_of(b) + hits_of(c) + hits_of(d);
-    }
-    for (; i < fours; i += threads) {
-        const Four a = four(depth, i);
-        sum += nearness(a);
-        seen += hits_of(a);
-    }
-    for (i = 4 * fours + thread; i < count; i += threads) {
-        const Four a = {depth.at[i], 0.0f, 0.0f, 0.0f};
-        sum += nearness(a);
-        seen += hits_of(a);
-    }
-    near[thread] = sum;
-    hits[thread] = seen;
-    for (int half = threads / 2; half > 0; half /= 2) {
+// Adds what the threads of a block have, in a fixed order; the first thread's are the sums.
+__device__ inline void sum_in_block(double (&near)[SUMMING], int (&hits)[SUMMING], double own_near, int own_hits) {
+    const int thread = threadIdx.x;
+    near[thread] = own_near;
+    hits[thread] = own_hits;
+    for (int half = SUMMING / 2; half > 0; half /= 2) {
         __syncthreads();
         if (thread >= half) continue;
         near[thread] += near[thread + half];
         hits[thread] += hits[thread + half];
     }
-    if (thread == 0) depth_scale.at[0] = hits[0] ? float(hits[0] / near[0]) : 1.0f;
+}
+
+// Each block sums some of the pixels. The last one to end adds the blocks' sums, in their order.
+extern "C" __global__ void __launch_bounds__(SUMMING, 2) denoise_scale(View depth, View depth_scale, View between) {
+    __shared__ double near[SUMMING];
+    __shared__ int hits[SUMMING];
+    __shared__ bool is_last;
+    const int thread = threadIdx.x, block = blockIdx.y, first = block * SUMMING + thread, step = gridDim.y * SUMMING;
+    const int count = depth.size[0] * depth.size[1], fours = count / 4;
+    double sum = 0.0;
+    int seen = 0;
+    for (int i = first; i < fours; i += 4 * step) {
+        Four some[4] = {};  // all are read before the first division
+#pragma unroll
+        for (int k = 0; k < 4; k++)
+            if (i + k * step < fours) some[k] = four(depth, i + k * step);
+        sum += (nearness(some[0]) + nearness(some[1])) + (nearness(some[2]) + nearness(some[3]));
+        seen += (hits_of(some[0]) + hits_of(some[1])) + (hits_of(some[2]) + hits_of(some[3]));
+    }
+    for (int i = 4 * fours + first; i < count; i += step) {
+        const Four one = {depth.at[i], 0.0f, 0.0f, 0.0f};
+        sum += nearness(one);
+        seen += hits_of(one);
+    }
+    sum_in_block(near, hits, sum, seen);
+    volatile double* const sums = reinterpret_cast<volatile double*>(between.at);
+    int* const ended = reinterpret_cast<int*>(between.at + 4 * SUMMING);
+    if (thread == 0) {
+        sums[block] = near[0];
+        sums[SUMMING + block] = hits[0];
+        __threadfence();
+        is_last = atomicAdd(ended, 1) + 1 == gridDim.y;
+    }
+    __syncthreads();
+    if (!is_last) return;
+    __threadfence();
+    const bool counts = thread < gridDim.y;
+    sum_in_block(near, hits, counts ? sums[thread] : 0.0, counts ? int(sums[SUMMING + thread]) : 0);
+    if (thread > 0) return;
+    depth_scale.at[0] = hits[0] ? float(hits[0] / near[0]) : 1.0f;
+    *ended = 0;
 }
 
 // Motion of a clearly nearer neighbour in 3x3, else its own: motion (h, w, 2), depth (h, w, 1), part_rows (th,),
@@ -78,24 +97,31 @@ extern "C" __global__ void denoise_dilate(View motion, View depth, View part_row
 // Mean reflectance in cells of 8x8 pixels of the frame, from the one before the part's first row and column on; the
 // frame's first and last cells repeat beyond it: diffuse_albedo and specular_albedo (h, w, 3), part_rows (th,),
 // part_columns (tw,) -> means (cells, cells, 3).
-extern "C" __global__ void denoise_means(View diffuse_albedo, View specular_albedo, View part_rows, View part_columns,
-                                         View means) {
-    PIXEL(means.size[1], means.size[0]);
-    const int h = diffuse_albedo.size[0], w = diffuse_albedo.size[1];
+// Eight neighbouring threads sum a column of a cell each; a block makes some cells of a row.
+extern "C" __global__ void __launch_bounds__(SUMMING, 2) denoise_means(View diffuse_albedo, View specular_albedo,
+                                                                    View part_rows, View part_columns, View means) {
+    const int h = diffuse_albedo.size[0], w = diffuse_albedo.size[1], cells = SUMMING / TRUST_CELL;
     const int top = int(part_rows.at[0]) / TRUST_CELL - 1, left = int(part_columns.at[0]) / TRUST_CELL - 1;
-    const int first = within(top + y, (h - 1) / TRUST_CELL + 1) * TRUST_CELL, end = min(first + TRUST_CELL, h);
-    const int start = within(left + x, (w - 1) / TRUST_CELL + 1) * TRUST_CELL, stop = min(start + TRUST_CELL, w);
-    Colour sum = {0.0f, 0.0f, 0.0f};
-    for (int v = first; v < end; v++)
-        for (int u = start; u < stop; u++) {
-            const Colour own = demodulation(diffuse_albedo, specular_albedo, v, u);
-            sum = {sum.r + own.r, sum.g + own.g, sum.b + own.b};
+    const int groups = (means.size[1] + cells - 1) / cells, all = groups * means.size[0];
+    for (int group = blockIdx.y; group < all; group += gridDim.y) {
+        const int y = group / groups, x = (group - y * groups) * cells + threadIdx.x / TRUST_CELL;
+        const int first = within(top + y, (h - 1) / TRUST_CELL + 1) * TRUST_CELL, end = min(first + TRUST_CELL, h);
+        const int start = within(left + x, (w - 1) / TRUST_CELL + 1) * TRUST_CELL, stop = min(start + TRUST_CELL, w);
+        const int u = start + threadIdx.x % TRUST_CELL;
+        Colour sum = {0.0f, 0.0f, 0.0f};
+#pragma unroll
+        for (int j = 0; j < TRUST_CELL; j++) {
+            const Colour own = demodulation(diffuse_albedo, specular_albedo, min(first + j, h - 1), min(u, w - 1));
+            if (first + j < end && u < stop) sum = {sum.r + own.r, sum.g + own.g, sum.b + own.b};
         }
-    const float share = 1.0f / ((end - first) * (stop - start));
-    float* const to = means.at + 3 * (y * means.size[1] + x);
-    to[0] = sum.r * share;
-    to[1] = sum.g * share;
-    to[2] = sum.b * share;
+        sum = {sum_of_eight(sum.r), sum_of_eight(sum.g), sum_of_eight(sum.b)};
+        if (x >= means.size[1] || threadIdx.x % TRUST_CELL) continue;
+        const float share = 1.0f / ((end - first) * (stop - start));
+        float* const to = means.at + 3 * (y * means.size[1] + x);
+        to[0] = sum.r * share;
+        to[1] = sum.g * share;
+        to[2] = sum.b * share;
+    }
 }
 
 // Where a pixel of a side lies among the frame's cells: the two whose centres are around it, from the first of `means`

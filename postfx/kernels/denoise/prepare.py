@@ -6,8 +6,11 @@ over time.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from postfx.kernels import Blocks
 from postfx.kernels.denoise import (
     BORDER_CELLS,
     DISTRUST,
@@ -238,9 +241,13 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
                 state[y, past.shape[1] - 1] = ZERO
 
 
-SCALE = kernel("scale", ("depth",), ("depth_scale",), scale_rows, ("depth_scale", 0))
+SUMMING = 256
+"""Threads of a GPU's blocks that sum, and how many such blocks there are at most."""
+SCALE = replace(kernel("scale", ("depth",), ("depth_scale",), scale_rows, ("depth_scale", 0)),
+                blocks=Blocks(0, SUMMING, most=SUMMING // 2, between=4 * SUMMING + 4))
 DILATE = kernel("dilate", ("motion", "depth", "part_rows", "part_columns"), ("moved",), dilate_rows, ("moved", 0))
-MEANS = kernel("means", (*REFLECTANCE, "part_rows", "part_columns"), ("means",), mean_rows, ("means", 0))
+MEANS = replace(kernel("means", (*REFLECTANCE, "part_rows", "part_columns"), ("means",), mean_rows, ("means", 0)),
+                blocks=Blocks(0, SUMMING, most=1024))
 ACCUMULATE = kernel("accumulate", ("colour", *REFLECTANCE, "means", "depth", "past", "fine", "params", "window"),
                     ("next_state", "next_depth", "level", "factor"), accumulate_rows, ("level", 1),
                     fine=(1, "controls", "hp", "wp"))

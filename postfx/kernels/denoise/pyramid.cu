@@ -1,52 +1,155 @@
 // Levels hold the picture, n of its parts behind one another, or one plane.
+const int BLOCK = 256;
 
-// Mean over 2x2 pixels, weighted by their importance: finer (planes, about 2 hp, about 2 wp), finer_importance (1, the same),
-// rows (hp,) and columns (wp,) of them that cells begin at, -1 before the first -> level (planes, hp, wp), importance
-// (1, hp, wp). What lies beyond the finer level has none.
+// The mean of a cell's 2x2 pixels by their importance, and that of the cell.
+struct Pool {
+    float weights[4], total;
+
+    __device__ void weigh() {
+        total = 0.25f * (weights[0] + weights[1] + weights[2] + weights[3]);
+    }
+    __device__ float mean(const float (&values)[4]) const {
+        return 0.25f / (total + TINY) * (weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
+                                         + weights[3] * values[3]);
+    }
+};
+
+// A cell whose first pixel is at (top, left) of a level, and where in a plane its pixels are. Those beyond have no weight.
+__device__ inline Pool pool_of(const View& importance, int top, int left, size_t (&there)[4]) {
+    const int height = importance.size[1], width = importance.size[2];
+    Pool found;
+#pragma unroll
+    for (int i = 0; i < 4; i++) {
+        const int v = top + i / 2, u = left + i % 2;
+        there[i] = size_t(within(v, height)) * width + within(u, width);
+        found.weights[i] = v >= 0 && v < height && u >= 0 && u < width ? importance.at[there[i]] : 0.0f;
+    }
+    found.weigh();
+    return found;
+}
+
+// finer (planes, about 2 hp, about 2 wp), finer_importance (1, the same), rows (hp,) and columns (wp,) of them that cells
+// begin at, -1 before the first -> level (planes, hp, wp), importance (1, hp, wp).
 extern "C" __global__ void denoise_pool(View finer, View finer_importance, View rows, View columns, View level,
                                         View importance) {
     const int height = level.size[1], width = level.size[2];
     PIXEL(width, height);
-    const int finer_height = finer.size[1], finer_width = finer.size[2];
-    const size_t plane = size_t(height) * width, fine = size_t(finer_height) * finer_width;
-    const int top = int(rows.at[y]), left = int(columns.at[x]);
-    for (int k = 0; k < level.size[0]; k += 3) {
-        const int some = min(3, level.size[0] - k);
-        float sum[3] = {0.0f, 0.0f, 0.0f}, weights = 0.0f;
-        for (int j = 0; j < 2; j++) {
-            for (int i = 0; i < 2; i++) {
-                const int v = top + j, u = left + i;
-                if (v < 0 || v >= finer_height || u < 0 || u >= finer_width) continue;
-                const size_t there = size_t(v) * finer_width + u;
-                const float weight = finer_importance.at[there];
-                weights += weight;
-                for (int c = 0; c < some; c++) sum[c] += weight * finer.at[(k + c) * fine + there];
+    const size_t plane = size_t(height) * width, fine = size_t(finer.size[1]) * finer.size[2];
+    const size_t here = size_t(y) * width + x;
+    size_t there[4];
+    const Pool pool = pool_of(finer_importance, int(rows.at[y]), int(columns.at[x]), there);
+    for (int k = 0; k < level.size[0]; k++) {
+        const float* const from = finer.at + k * fine;
+        level.at[k * plane + here] = pool.mean({from[there[0]], from[there[1]], from[there[2]], from[there[3]]});
+    }
+    importance.at[here] = pool.total;
+}
+
+// All levels: finer (planes, hp, wp), finer_importance (1, hp, wp), firsts (8,), in which row of a finer level the first cell
+// begins, 0 or -1, then in which column -> four levels (planes, ...) and their importance (1, ...). A block makes 16x16 cells
+// of the first level and what lies above them.
+const int TREE = 16, LAST = 4;
+
+extern "C" __global__ void __launch_bounds__(BLOCK, 4)
+denoise_pools(View finer, View finer_importance, View firsts, View level1, View level2, View level3, View level4,
+              View importance1, View importance2, View importance3, View importance4) {
+    __shared__ float cells[LAST - 1][4][TREE][TREE];
+    const View levels[LAST] = {level1, level2, level3, level4};
+    const View totals[LAST] = {importance1, importance2, importance3, importance4};
+    int first_row = 0, first_column = 0;  // of the first tree in a level
+    int high = 0, wide = 0;
+#pragma unroll
+    for (int i = LAST - 1; i >= 0; i--) {
+        const int side = TREE >> i;
+        high = max(high, (levels[i].size[1] - first_row + side - 1) / side);
+        wide = max(wide, (levels[i].size[2] - first_column + side - 1) / side);
+        if (i == 0) break;
+        first_row = 2 * first_row + int(firsts.at[i]);
+        first_column = 2 * first_column + int(firsts.at[LAST + i]);
+    }
+    const int count = high * wide, thread = threadIdx.x;
+    for (int tree = blockIdx.y; tree < count; tree += gridDim.y) {
+        for (int k = 0; k < level1.size[0]; k += 3) {
+            const int planes = min(3, level1.size[0] - k);
+            int top = first_row + TREE * (tree / wide), left = first_column + TREE * (tree % wide);
+#pragma unroll
+            for (int level = 0; level < LAST; level++) {
+                const int side = TREE >> level, j = thread / side, i = thread % side, y = top + j, x = left + i;
+                const int height = levels[level].size[1], width = levels[level].size[2];
+                if (j < side) {
+                    float found[4];
+                    if (level == 0) {
+                        size_t there[4];
+                        const Pool pool = pool_of(finer_importance, 2 * y + int(firsts.at[0]),
+                                                  2 * x + int(firsts.at[LAST]), there);
+                        const size_t plane = size_t(finer.size[1]) * finer.size[2];
+#pragma unroll
+                        for (int c = 0; c < 3; c++) {
+                            const float* const from = finer.at + (k + min(c, planes - 1)) * plane;
+                            found[c] = pool.mean({from[there[0]], from[there[1]], from[there[2]], from[there[3]]});
+                        }
+                        found[3] = pool.total;
+                    } else {
+                        const auto& from = cells[level - 1];
+                        Pool pool;
+                        for (int n = 0; n < 4; n++) pool.weights[n] = from[3][2 * j + n / 2][2 * i + n % 2];
+                        pool.weigh();
+#pragma unroll
+                        for (int c = 0; c < 3; c++)
+                            found[c] = pool.mean({from[c][2 * j][2 * i], from[c][2 * j][2 * i + 1],
+                                                  from[c][2 * j + 1][2 * i], from[c][2 * j + 1][2 * i + 1]});
+                        found[3] = pool.total;
+                    }
+                    if (y >= 0 && y < height && x >= 0 && x < width) {
+                        const size_t here = size_t(y) * width + x, plane = size_t(height) * width;
+                        for (int c = 0; c < planes; c++) levels[level].at[(k + c) * plane + here] = found[c];
+                        totals[level].at[here] = found[3];
+                    } else {
+                        found[3] = 0.0f;
+                    }
+                    if (level < LAST - 1)
+                        for (int c = 0; c < 4; c++) cells[level][c][j][i] = found[c];
+                }
+                if (level < LAST - 1) {
+                    __syncthreads();
+                    top = (top - int(firsts.at[level + 1])) / 2;  // exact: cells begin there
+                    left = (left - int(firsts.at[LAST + level + 1])) / 2;
+                }
             }
+            __syncthreads();
         }
-        const float total = 0.25f * weights, share = 0.25f / (total + TINY);
-        const size_t here = size_t(y) * width + x;
-        for (int c = 0; c < some; c++) level.at[(k + c) * plane + here] = share * sum[c];
-        importance.at[here] = total;
     }
 }
 
-// The coarser result where the network trusts it more than the level's own colour: coarse (planes, about hp / 2, about wp / 2),
-// level (planes, hp, wp), heads (1, 26 or more, hp, wp), rows (hp,) and columns (wp,) of coarse that pixels lie in
-// -> mixed (planes, hp, wp).
+// The coarser result where the network trusts it more than the level's own colour, from 0 to 1.
+struct Trusted {
+    float own;
+    size_t here, below;
+};
+
+// coarse (planes, about hp / 2, about wp / 2), level (planes, hp, wp), heads (1, 26 or more, hp, wp), rows (hp,) and
+// columns (wp,) of coarse that pixels lie in.
+template <class Number>
+__device__ inline Trusted trusted_at(const View& coarse, const View& level, const View& heads, const View& rows,
+                                     const View& columns, int y, int x) {
+    // The full head has the channel elsewhere than the short ones of the coarser levels.
+    const size_t channel = heads.size[1] > KERNEL + 1 ? MIX : KERNEL, here = size_t(y) * level.size[2] + x;
+    return {as_float(numbers<Number>(heads)[channel * level.size[1] * level.size[2] + here]), here,
+            size_t(int(rows.at[y])) * coarse.size[2] + int(columns.at[x])};
+}
+
+__device__ inline float mixed_at(const View& coarse, const View& level, const Trusted& by, int plane) {
+    const float from = coarse.at[size_t(plane) * coarse.size[1] * coarse.size[2] + by.below];
+    return from + (level.at[size_t(plane) * level.size[1] * level.size[2] + by.here] - from) * by.own;
+}
+
+// The above -> mixed (planes, hp, wp).
 template <class Number>
 __device__ inline void mix(View coarse, View level, View heads, View rows, View columns, View mixed) {
-    const int height = mixed.size[1], width = mixed.size[2];
-    PIXEL(width, height);
-    const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
-    const size_t below_plane = size_t(coarse.size[1]) * coarse.size[2];
-    const size_t below = size_t(int(rows.at[y])) * coarse.size[2] + int(columns.at[x]);
-    // The full head has the channel elsewhere than the short ones of the coarser levels.
-    const size_t channel = heads.size[1] > KERNEL + 1 ? MIX : KERNEL;
-    const float own = as_float(numbers<Number>(heads)[channel * plane + here]);
-    for (int k = 0; k < mixed.size[0]; k++) {
-        const float from = coarse.at[k * below_plane + below];
-        mixed.at[k * plane + here] = from + (level.at[k * plane + here] - from) * own;
-    }
+    PIXEL(mixed.size[2], mixed.size[1]);
+    const Trusted by = trusted_at<Number>(coarse, level, heads, rows, columns, y, x);
+    for (int k = 0; k < mixed.size[0]; k++)
+        mixed.at[size_t(k) * mixed.size[1] * mixed.size[2] + by.here] = mixed_at(coarse, level, by, k);
 }
 
 extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns, View mixed) {
@@ -57,46 +160,127 @@ extern "C" __global__ void denoise_mix_half(View coarse, View level, View heads,
     mix<Half>(coarse, level, heads, rows, columns, mixed);
 }
 
-// The 5x5 kernel of a level: mixed (planes, hp, wp), heads (1, 25 or more, hp, wp), area (2,) -> filtered (planes, hp, wp).
-template <class Number>
-__device__ inline void filter(View mixed, View heads, View area, View filtered) {
-    const int height = filtered.size[1], width = filtered.size[2], plane = height * width;
-    PIXEL(width, height);
-    const int rows = int(area.at[0]), columns = int(area.at[1]), here = y * width + x;
-    for (int k = 0; k < filtered.size[0]; k += 3) {
-        const float* const from = mixed.at + size_t(k) * plane;
-        float* const to = filtered.at + size_t(k) * plane + here;
-        const int second = k + 1 < filtered.size[0] ? plane : 0, third = 2 * second;  // one plane is read three times
-        Colour sum = {0.0f, 0.0f, 0.0f};
-        float total = TINY;
-        if (y < rows && x < columns) {
-            for (int j = 0; j < 5; j++) {
-                const int v = y + j - 2;
-                if (v < 0 || v >= rows) continue;
-                for (int i = 0; i < 5; i++) {
-                    const int u = x + i - 2;
-                    if (u < 0 || u >= columns) continue;
-                    const float weight = as_float(numbers<Number>(heads)[(5 * j + i) * plane + here]);
-                    const int there = v * width + u;
-                    total += weight;
-                    sum.r += weight * from[there];
-                    sum.g += weight * from[second + there];
-                    sum.b += weight * from[third + there];
-                }
+// The 5x5 kernel of a level, which is mixed with the coarser one before, if it MIXES: as above, heads (1, 25 or more, hp,
+// wp), area (2,) -> filtered (planes, hp, wp), which `put` takes by threes. A block's pixels and two around them lie in
+// shared memory.
+const int WIDE = ACROSS + 2 * REACH, HIGH = DOWN + 2 * REACH;
+
+template <class Number, bool MIXES, class Put>
+__device__ inline void filter(const View& coarse, const View& level, const View& heads, const View& rows,
+                              const View& columns, const View& area, Put put) {
+    __shared__ float tile[3][HIGH][WIDE];
+    const int height = level.size[1], width = level.size[2], bottom = int(area.at[0]), right = int(area.at[1]);
+    const int top = blockIdx.y * DOWN, left = blockIdx.x * ACROSS;
+    const int y = top + threadIdx.y, x = left + threadIdx.x;
+    const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
+    float weights[SIDE * SIDE], total = TINY;
+#pragma unroll
+    for (int i = 0; i < SIDE * SIDE; i++) {  // taps beyond the picture do not count
+        const int v = y + i / SIDE - REACH, u = x + i % SIDE - REACH;
+        const bool counts = y < bottom && x < right && v >= 0 && v < bottom && u >= 0 && u < right;
+        weights[i] = counts ? as_float(numbers<Number>(heads)[i * plane + here]) : 0.0f;
+    }
+#pragma unroll
+    for (int i = 0; i < SIDE * SIDE; i++) total += weights[i];
+    for (int k = 0; k < level.size[0]; k += 3) {
+        const int second = k + 1 < level.size[0] ? 1 : 0, third = 2 * second;  // one plane is read three times
+        if (k) __syncthreads();
+#pragma unroll
+        for (int first = 0; first < HIGH * WIDE; first += DOWN * ACROSS) {
+            const int n = first + threadIdx.y * ACROSS + threadIdx.x;
+            if (n >= HIGH * WIDE) break;
+            const int j = n / WIDE, i = n % WIDE, v = top + j - REACH, u = left + i - REACH;
+            const bool held = v >= 0 && v < bottom && u >= 0 && u < right;
+            Trusted by = {0.0f, size_t(v) * width + u, 0};
+            if (MIXES && held) by = trusted_at<Number>(coarse, level, heads, rows, columns, v, u);
+#pragma unroll
+            for (int c = 0; c < 3; c++) {
+                const int from = k + (c == 0 ? 0 : c == 1 ? second : third);
+                const float* const own = level.at + from * plane + by.here;
+                tile[c][j][i] = !held ? 0.0f : MIXES ? mixed_at(coarse, level, by, from) : *own;
             }
         }
-        to[0] = sum.r / total;
-        to[second] = sum.g / total;
-        to[third] = sum.b / total;
+        __syncthreads();
+        if (y >= height || x >= width) continue;
+        Colour sum = {0.0f, 0.0f, 0.0f};
+#pragma unroll
+        for (int i = 0; i < SIDE * SIDE; i++) {
+            const int v = threadIdx.y + i / SIDE, u = threadIdx.x + i % SIDE;
+            sum.r += weights[i] * tile[0][v][u];
+            sum.g += weights[i] * tile[1][v][u];
+            sum.b += weights[i] * tile[2][v][u];
+        }
+        put(k, second, y, x, Colour{sum.r / total, sum.g / total, sum.b / total});
     }
 }
 
-extern "C" __global__ void denoise_filter(View mixed, View heads, View area, View filtered) {
-    filter<float>(mixed, heads, area, filtered);
+template <class Number, bool MIXES>
+__device__ inline void filter_level(const View& coarse, const View& level, const View& heads, const View& rows,
+                                    const View& columns, const View& area, const View& filtered) {
+    const size_t plane = size_t(filtered.size[1]) * filtered.size[2];
+    filter<Number, MIXES>(coarse, level, heads, rows, columns, area,
+                          [&](int k, int second, int y, int x, const Colour& light) {
+        float* const to = filtered.at + k * plane + size_t(y) * filtered.size[2] + x;
+        to[0] = light.r;
+        to[second * plane] = light.g;
+        to[2 * second * plane] = light.b;
+    });
 }
 
-extern "C" __global__ void denoise_filter_half(View mixed, View heads, View area, View filtered) {
-    filter<Half>(mixed, heads, area, filtered);
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter(View mixed, View heads, View area,
+                                                                      View filtered) {
+    filter_level<float, false>({}, mixed, heads, {}, {}, area, filtered);
+}
+
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_half(View mixed, View heads, View area,
+                                                                           View filtered) {
+    filter_level<Half, false>({}, mixed, heads, {}, {}, area, filtered);
+}
+
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_mixed(View coarse, View level, View heads,
+                                                                            View rows, View columns, View area,
+                                                                            View filtered) {
+    filter_level<float, true>(coarse, level, heads, rows, columns, area, filtered);
+}
+
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_mixed_half(View coarse, View level, View heads,
+                                                                                 View rows, View columns, View area,
+                                                                                 View filtered) {
+    filter_level<Half, true>(coarse, level, heads, rows, columns, area, filtered);
+}
+
+// The finest level, then times reflectance, a border of repeated pixels around it: the same, factor (th, tw, 3) -> radiance
+// (3, th + 2, tw + 2). Pixels at an edge of the picture also write those beyond it.
+template <class Number>
+__device__ inline void filter_shaded(const View& coarse, const View& level, const View& heads, const View& rows,
+                                     const View& columns, const View& area, const View& factor, const View& radiance) {
+    const int bottom = int(area.at[0]) - 1, right = int(area.at[1]) - 1;
+    const int width = radiance.size[2], last_row = radiance.size[1] - 1, last_column = width - 1;
+    const size_t plane = size_t(radiance.size[1]) * width;
+    filter<Number, true>(coarse, level, heads, rows, columns, area, [&](int, int, int y, int x, const Colour& light) {
+        if (y > bottom || x > right) return;
+        const float* const by = factor.at + 3 * (size_t(y) * factor.size[1] + x);
+        const Colour shaded = {light.r * by[0], light.g * by[1], light.b * by[2]};
+        for (int v = y ? y + 1 : 0; v <= (y < bottom ? y + 1 : last_row); v++)
+            for (int u = x ? x + 1 : 0; u <= (x < right ? x + 1 : last_column); u++) {
+                float* const to = radiance.at + size_t(v) * width + u;
+                to[0] = shaded.r;
+                to[plane] = shaded.g;
+                to[2 * plane] = shaded.b;
+            }
+    });
+}
+
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_shaded(View coarse, View level, View heads,
+                                                                             View rows, View columns, View area,
+                                                                             View factor, View radiance) {
+    filter_shaded<float>(coarse, level, heads, rows, columns, area, factor, radiance);
+}
+
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_shaded_half(View coarse, View level, View heads,
+                                                                                  View rows, View columns, View area,
+                                                                                  View factor, View radiance) {
+    filter_shaded<Half>(coarse, level, heads, rows, columns, area, factor, radiance);
 }
 
 // Filtered colour times reflectance, a border of repeated pixels around it; before that, in `BOTH`, the colour itself.
@@ -170,7 +354,7 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
         for (int i = 0; i < 3; i++) {
             const float prior = across * gauss(i - 1 + params.at[JITTER_X] - u);
             const Number* const tap = head + (TAP_WEIGHTS + 4 * (3 * j + i)) * plane;
-            const float weight = at_corner<false>(tap, plane, 0, right, lower) * prior;
+            const float weight = between_corners(tap, plane, right, lower) * prior;
             total += weight;
             sum += weight * from[within(column + i - 1, w)];
         }

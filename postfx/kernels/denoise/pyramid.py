@@ -7,8 +7,11 @@ Levels hold the picture, one plane, or several parts behind one another: the wei
 for all of them. Parts are pooled by the picture's importance. At the end there are alpha's first and last step.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
+from postfx.kernels import Blocks
 from postfx.kernels.denoise import (
     BOTH,
     FINE,
@@ -324,6 +327,25 @@ def enlarge_rows(y0: int, y1: int, filtered: np.ndarray, fine: np.ndarray, part_
 PLANAR = ("planes", "hp", "wp")
 POOL = kernel("pool", ("finer", "finer_importance", "finer_rows", "finer_columns"), ("level", "importance"), pool_rows,
               ("level", 1), level=PLANAR)
+
+
+def pools_rows(y0: int, y1: int, finer: np.ndarray, finer_importance: np.ndarray, firsts: np.ndarray,
+               *written: np.ndarray) -> None:
+    """What the kernel below computes. No device runs it."""
+    levels, totals = written[:4], written[4:]
+    for i, (level, importance) in enumerate(zip(levels, totals, strict=True)):
+        rows, columns = (2 * np.arange(size, dtype=np.float32) + first
+                         for size, first in zip(level.shape[1:], (firsts[i], firsts[4 + i]), strict=True))
+        pool_rows(0, level.shape[1], finer, finer_importance, rows, columns, level, importance)
+        finer, finer_importance = level, importance
+
+
+_LEVELS = {f"{name}{i}": (planes, f"level{i}_h", f"level{i}_w")
+           for name, planes in (("level", "planes"), ("importance", 1)) for i in range(1, 5)}
+POOLS = replace(kernel("pools", ("finer", "finer_importance", "firsts"), tuple(_LEVELS), pools_rows, ("level1", 1),
+                       finer=PLANAR, finer_importance=(1, "hp", "wp"), firsts=(8,), **_LEVELS),
+                blocks=Blocks(0, 256, most=1024))
+"""All levels at once, on a GPU."""
 MIX_LEVELS = kernel("mix", ("coarse", "level", "heads", "coarse_rows", "coarse_columns"), ("mixed",), mix_rows,
                     ("mixed", 1), level=PLANAR, mixed=PLANAR)
 FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1), mixed=PLANAR,
@@ -333,8 +355,40 @@ FILTER_CODES = kernel("filter_codes", ("mixed", "codes", "factors", "scaling", "
                       filtered=("planes", "2*half_hp", "2*half_wp"))
 in_half(MIX_LEVELS, "heads")
 in_half(FILTER, "heads")
+
+
+def filter_mixed_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.ndarray,
+                      coarse_rows: np.ndarray, coarse_columns: np.ndarray, area: np.ndarray,
+                      filtered: np.ndarray) -> None:
+    """What the kernel below computes. No device runs it."""
+    mixed = np.empty_like(level)
+    mix_rows(0, level.shape[1], coarse, level, heads, coarse_rows, coarse_columns, mixed)
+    filter_rows(y0, y1, mixed, heads, area, filtered)
+
+
+FILTER_MIXED = kernel("filter_mixed", (*MIX_LEVELS.reads, "area"), ("filtered",), filter_mixed_rows, ("filtered", 1),
+                      level=PLANAR, filtered=PLANAR)
+"""Both at once, on a GPU."""
+in_half(FILTER_MIXED, "heads")
 REMODULATE = kernel("remodulate", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),
                     remodulate_rows, ("radiance", 1))
+
+
+def filter_shaded_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.ndarray,
+                       coarse_rows: np.ndarray, coarse_columns: np.ndarray, area: np.ndarray, factor: np.ndarray,
+                       radiance: np.ndarray) -> None:
+    """What the kernel below computes. No device runs it."""
+    filtered = np.empty_like(level)
+    filter_mixed_rows(0, level.shape[1], coarse, level, heads, coarse_rows, coarse_columns, area, filtered)
+    rows, columns = (np.minimum(np.arange(size - 2, dtype=np.float32), end - 1)
+                     for size, end in zip(radiance.shape[1:], area, strict=True))
+    remodulate_rows(y0, y1, filtered, factor, rows, columns, radiance)
+
+
+FILTER_SHADED = kernel("filter_shaded", (*FILTER_MIXED.reads, "factor"), ("radiance",), filter_shaded_rows,
+                       ("radiance", 1), coarse=(3, "coarse_h", "coarse_w"), level=(3, "hp", "wp"))
+"""Those of the finest level and `REMODULATE` at once, on a GPU."""
+in_half(FILTER_SHADED, "heads")
 REMODULATE_BOTH = kernel("remodulate_both", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),
                          remodulate_both_rows, ("radiance", 1), radiance=BOTH)
 LEVEL = kernel("alpha_level", ("next_samples", "part_rows", "part_columns", "seen_rows", "seen_columns"), ("level",),

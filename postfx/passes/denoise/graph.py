@@ -23,9 +23,12 @@ from postfx.kernels.denoise.pyramid import (
     ENLARGE_ALPHA,
     FILTER,
     FILTER_CODES,
+    FILTER_MIXED,
+    FILTER_SHADED,
     LEVEL,
     MIX_LEVELS,
     POOL,
+    POOLS,
     REMODULATE,
     REMODULATE_BOTH,
 )
@@ -132,7 +135,9 @@ class Graph:
         self._networks[model].encode(commands)
         with commands.compute_encoder("filter") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            for i, name in enumerate((*self._filter_order, f"remodulate {end}")):
+            *order, last = self._filter_order
+            shaded = f"{last} {end}"
+            for i, name in enumerate((*order, *((shaded,) if shaded in tables else (last, f"remodulate {end}")))):
                 if i:
                     encoder.barrier()
                 self._run(encoder, tables, name)
@@ -191,16 +196,17 @@ class Graph:
         accumulated = self._new("level 0", (4, *level(0)))
         self._importance = [accumulated.view("importance 0", (1, *level(0)), 3 * math.prod(level(0)))]
         self._importance += [self._new(f"importance {i}", (1, *level(i))) for i in range(1, LEVELS + 1)]
-        self._radiance: dict[str, Tensor] = {}
-        filtered, self._filter_order = self._make_pyramid(self._tables, accumulated.view("light 0", (3, *level(0))))
+        size = self._window.rows + 2, self._window.columns + 2
+        self._radiance = {end: self._new(f"radiance {end}", (3 if end == PLAIN else 6, *size))
+                          for end in set(self._ends.values())}
+        filtered, self._filter_order = self._make_pyramid(self._tables, accumulated.view("light 0", (3, *level(0))),
+                                                          self._radiance.get(PLAIN))
         made = self._made | self._seen | {"level": accumulated, "filtered": filtered}
         self._looks = ("features", "guides", "trust") if self._guided else ("features",)
         kernels = (("dilate", DILATE), ("history", HISTORY), ("accumulate", ACCUMULATE), ("features", FEATURE))
         for name, kernel in kernels[:3] if coded else kernels:
             self._table(self._tables, name, kernel, **made)
-        for end in set(self._ends.values()):
-            size = (3 if end == PLAIN else 6, self._window.rows + 2, self._window.columns + 2)
-            radiance = self._radiance[end] = self._new(f"radiance {end}", size)
+        for end, radiance in self._radiance.items():
             for name, kernel in zip(("remodulate", "upsample"), ENDS[end], strict=True):
                 self._table(self._tables, f"{name} {end}", kernel, **made, radiance=radiance)
         if self._doubting:
@@ -211,25 +217,37 @@ class Graph:
             self._table(self._tables, "guides", GUIDE, **made)
             self._table(self._tables, "trust", TRUST, **made)
 
-    def _make_pyramid(self, tables: Tables, light: Tensor) -> tuple[Tensor, list[str]]:
+    def _make_pyramid(self, tables: Tables, light: Tensor, radiance: Tensor | None = None) -> tuple[Tensor, list[str]]:
         """Make the tables of the filters, for light (3 n, hp, wp) of the picture or of n parts; returns the filtered
-        light, and the tables' order behind 'accumulate'."""
+        light, and the tables' order behind 'accumulate'. On a GPU a filter of radiance takes the place of the last."""
         def new(name: str, i: int) -> Tensor:
             return self._new(f"{name} {i}", (light.shape[0], *self._window.level(i)))
 
         levels, order = [light, *(new("level", i) for i in range(1, LEVELS + 1))], ["accumulate"]
-        for i in range(1, LEVELS + 1):
+        if self._device.gpu:
+            both = {"level": levels, "importance": self._importance}
+            named = {f"{name}{i}": some[i] for name, some in both.items() for i in range(1, LEVELS + 1)}
+            self._table(tables, "pools", POOLS, finer=light, finer_importance=self._importance[0], **named)
+            order.append("pools")
+        for i in range(1, 1 if self._device.gpu else LEVELS + 1):
             self._table(tables, f"pool {i}", POOL, finer=levels[i - 1], finer_importance=self._importance[i - 1],
                         level=levels[i], importance=self._importance[i])
             order.append(f"pool {i}")
         filtered = [new("filtered", i) for i in range(LEVELS + 1)]
         for i in range(LEVELS, -1, -1):
+            order.append(f"filter {i}")
+            if i < LEVELS and self._device.gpu:
+                mixes = {"coarse": filtered[i + 1], "level": levels[i]}
+                self._table(tables, f"filter {i}", FILTER_MIXED, **mixes, filtered=filtered[i])
+                if i == 0 and radiance:
+                    self._table(tables, f"filter 0 {PLAIN}", FILTER_SHADED, **mixes, factor=self._made["factor"],
+                                radiance=radiance)
+                continue
             mixed = levels[i] if i == LEVELS else new("mixed", i)
+            self._table(tables, f"filter {i}", FILTER, mixed=mixed, filtered=filtered[i])
             if i < LEVELS:
                 self._table(tables, f"mix {i}", MIX_LEVELS, coarse=filtered[i + 1], level=levels[i], mixed=mixed)
-                order.append(f"mix {i}")
-            self._table(tables, f"filter {i}", FILTER, mixed=mixed, filtered=filtered[i])
-            order.append(f"filter {i}")
+                order.insert(-1, f"mix {i}")
         return filtered[0], order
 
     def _table(self, tables: Tables, name: str, kernel: Kernel, **tensors: Tensor) -> None:
@@ -243,18 +261,19 @@ class Graph:
                     named[name][binding] = tensors[binding]
 
     def _place(self, window: Window) -> dict[str, dict[str, Tensor]]:
-        """Tensors that describe a window to the kernels, by binding: for each table of the pyramid, '' for others."""
+        """Tensors that describe a window to the kernels, by table and binding: see `Window.places_of_tables`."""
         return self._places.get_or_make(window, lambda: {
             table: {name: upload(self._device.heap, name, array) for name, array in values.items()}
-            for table, values in _places(window).items()})
+            for table, values in window.places_of_tables().items()})
 
     def _bind(self, tables: Mapping[str, ArgumentTable], tensors: Mapping[str, Tensor],
               places: Mapping[str, Mapping[str, Tensor]], heads: Mapping[str, Tensor]) -> None:
         """Bind what changes from window to window, from frame to frame and from layer to layer."""
         for name, table in tables.items():
-            known = {**tensors, **places.get(name, places[""])}
-            if name.startswith(("filter ", "mix ")):
-                known["heads"] = heads["fine" if name[-1] == "0" else f"level{name[-1]}"]
+            step = " ".join(name.split()[:2])
+            known = {**tensors, **places.get(step, places[""])}
+            if step.startswith(("filter ", "mix ")):
+                known["heads"] = heads["fine" if step[-1] == "0" else f"level{step[-1]}"]
             for binding in table.state.bindings:
                 if binding.name in known:
                     table[binding.name] = known[binding.name]
@@ -262,18 +281,6 @@ class Graph:
     def _run(self, encoder: ComputeEncoder, tables: Mapping[str, ArgumentTable], *names: str) -> None:
         for name in names:
             encoder.dispatch(tables[name].state, tables[name])
-
-
-def _places(window: Window) -> dict[str, dict[str, np.ndarray]]:
-    """Arrays that describe a window to the kernels: for each table of the pyramid, and under '' for all other
-    tables."""
-    places = {"": window.places()}
-    for i in range(LEVELS + 1):
-        places[f"filter {i}"] = {"area": window.area(i)}
-    for i in range(LEVELS):
-        places[f"mix {i}"] = dict(zip(("coarse_rows", "coarse_columns"), window.coarser(i), strict=True))
-        places[f"pool {i + 1}"] = dict(zip(("finer_rows", "finer_columns"), window.finer(i + 1), strict=True))
-    return places
 
 
 @dataclass

@@ -12,7 +12,7 @@ import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import FARTHEST, NEAR_CELL
+from postfx.kernels.denoise import FARTHEST, NEAR_CELL, kernel
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.history import REACTIVE
 from postfx.kernels.denoise.output import DETAIL, JUDGE, RESTORE, STRENGTH, SUMS, TILE
@@ -318,6 +318,7 @@ class Alpha:
         self._dilate = ArgumentTable(device.compute_state(DILATE), {
             "part_rows": rows, "part_columns": columns, "moved": moved})
         self._near = new("near alpha", (-(-spec.height // NEAR_CELL), -(-spec.width // NEAR_CELL)))
+        self._find = ArgumentTable(device.compute_state(NEAR), {"near": self._near}) if device.gpu else None
         self._gather = ArgumentTable(device.compute_state(GATHER), {
             "moved": moved, "rates": self._rates, "near": self._near})
         fit = between("alpha by colours", (4, spec.height, spec.width))
@@ -331,7 +332,10 @@ class Alpha:
         """Record the work that adds a frame's own alpha to the mean; returns what filters read of it. Jittered alpha
         does not lie where the pixels do, and counts for nothing but in its own frame."""
         samples, jittered = frame.samples or FEW_SAMPLES, frame.jitter != (0.0, 0.0)
-        self._near.upload(near_cells(frame.host_planes[Role.ALPHA][..., 0]))
+        if self._find:
+            self._find["alpha"] = frame[Role.ALPHA]
+        else:
+            self._near.upload(near_cells(frame.host_planes[Role.ALPHA][..., 0]))
         self._rates.upload([float(keep and not history.resized and not jittered), 1 / samples, DRIFT, 1 / LONGEST])
         self._gain.upload([0.0 if jittered else 1 / SETTLED, RANDOM / samples,
                            0.0 if jittered else SHARPER * self._scale, 0.0 if jittered else BY_COLOUR])
@@ -348,6 +352,8 @@ class Alpha:
         with commands.compute_encoder("gather alpha") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._dilate.state, self._dilate)
+            if self._find:
+                encoder.dispatch(self._find.state, self._find)
             encoder.barrier()
             encoder.dispatch(self._gather.state, self._gather)
         return {"next_samples": self._fit["next_samples"], "near": self._near}
@@ -372,6 +378,15 @@ def near_cells(alpha: np.ndarray) -> np.ndarray:
     differ = three_by_three(low, 1, np.minimum) != three_by_three(high, 1, np.maximum)
     found: np.ndarray = differ + three_by_three(differ, 1, np.maximum).astype(np.float32)
     return found
+
+
+def near_rows(y0: int, y1: int, alpha: np.ndarray, near: np.ndarray) -> None:
+    """What the kernel below computes. No device runs it: elsewhere the host looks at alpha, which is its own."""
+    near[y0:y1] = near_cells(alpha[..., 0])[y0:y1]
+
+
+NEAR = kernel("near", ("alpha",), ("near",), near_rows, ("near", 0), alpha=("h", "w", 1), near=("alpha_h", "alpha_w"))
+"""Cells where alpha is worked on, on a GPU."""
 
 
 def three_by_three(plane: np.ndarray, step: int, join: np.ufunc) -> np.ndarray:

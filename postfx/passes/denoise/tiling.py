@@ -117,6 +117,17 @@ class Window:
             "out_columns": _counted(out.left, out.columns, frame.width)}
         return {name: np.asarray(value, np.float32) for name, value in values.items()}
 
+    def places_of_tables(self) -> dict[str, dict[str, np.ndarray]]:
+        """The same for each of the pyramid's argument tables, and under '' for all others."""
+        places = {"": self.places(), f"filter {LEVELS}": {"area": self.area(LEVELS)}}
+        for i in range(LEVELS):
+            coarser = dict(zip(("coarse_rows", "coarse_columns"), self.coarser(i), strict=True))
+            places[f"mix {i}"] = places[f"filter {i}"] = {"area": self.area(i), **coarser}
+            places[f"pool {i + 1}"] = dict(zip(("finer_rows", "finer_columns"), self.finer(i + 1), strict=True))
+        firsts = zip(*([places[f"pool {i}"][f"finer_{side}"][0] for side in ("rows", "columns")]
+                       for i in range(1, LEVELS + 1)), strict=True)
+        return places | {"pools": {"firsts": np.concatenate([*firsts], dtype=np.float32)}}
+
 
 def whole_steps(side: int, step: int) -> int:
     """The next multiple of a step."""
