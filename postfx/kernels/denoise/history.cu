@@ -56,7 +56,7 @@ __device__ inline float rescaled(float encoded, float gain) {
 // were so up to SLACK pixels find what they read in shared memory, the others read the history.
 const int SLACK = 2, BEFORE_WIDE = ACROSS + 3 + 2 * SLACK, BEFORE_HIGH = 2 * DOWN + 3 + 2 * SLACK;
 
-extern "C" __global__ void __launch_bounds__(256, 3) denoise_history(View history, View moved, View params, View window,
+extern "C" __global__ void __launch_bounds__(256, 4) denoise_history(View history, View moved, View params, View window,
                                                                      View out_rows, View out_columns, View warped) {
     __shared__ float tile[BEFORE_HIGH][3 * BEFORE_WIDE], staged[DOWN][3 * ACROSS];
     const Window part = window_of(window);
