@@ -39,9 +39,9 @@ from postfx.kernels.numeric import (
     Real,
     clamp,
     compiled,
-    demodulation,
     demodulation_row,
     inline,
+    place,
     summed,
 )
 
@@ -158,27 +158,38 @@ def cell_place(at: int, size: int) -> Real:
 
 
 @compiled
-def doubt_row(y: int, top: int, left: int, h: int, w: int, means: np.ndarray, trust: np.ndarray, line: np.ndarray,
-              factor: np.ndarray) -> None:
-    """A row of reflectance (tw, 3), blended towards the mean around each pixel as far as it is not trusted; ``y``,
-    ``top`` and ``left`` count the frame's pixels."""
-    place = cell_place(y, h)
-    first = top // TRUST_CELL - 1
-    upper, lower = int(place) - first, min(int(place) + 1, (h - 1) // TRUST_CELL) - first
-    down = place - np.float32(int(place))
-    for i in range(line.shape[0]):
+def cells_beside(left: int, count: int, w: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The cells before and after each of a part's columns, from the one before its first column's on, and where between
+    them it lies."""
+    before, after, across = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.float32)
+    first, last = left // TRUST_CELL - 1, (w - 1) // TRUST_CELL
+    for x in range(count):
+        at = cell_place(left + x, w)
+        before[x], after[x] = int(at) - first, min(int(at) + 1, last) - first
+        across[x] = at - np.float32(int(at))
+    return before, after, across
+
+
+@compiled
+def mean_between(y: int, top: int, h: int, means: np.ndarray, line: np.ndarray) -> None:
+    """The means of the cells (3, columns) at a row; ``y`` and ``top`` count the frame's."""
+    at, first = cell_place(y, h), top // TRUST_CELL - 1
+    upper, lower = means[int(at) - first], means[min(int(at) + 1, (h - 1) // TRUST_CELL) - first]
+    down = at - np.float32(int(at))
+    for i in range(line.shape[1]):
         for c in range(3):
-            line[i, c] = means[upper, i, c] + (means[lower, i, c] - means[upper, i, c]) * down
-    first = left // TRUST_CELL - 1
-    for x in range(min(factor.shape[0], w - left)):
-        place = cell_place(left + x, w)
-        before, after = int(place) - first, min(int(place) + 1, (w - 1) // TRUST_CELL) - first
-        across = place - np.float32(int(place))
+            line[c, i] = upper[i, c] + (lower[i, c] - upper[i, c]) * down
+
+
+@compiled
+def doubt_row(line: np.ndarray, before: np.ndarray, after: np.ndarray, across: np.ndarray, trust: np.ndarray,
+              factor: np.ndarray) -> None:
+    """A row of reflectance, blended towards the mean around each pixel as far as it is not trusted."""
+    for x in range(factor.size):
+        mean = line[before[x]] + (line[after[x]] - line[before[x]]) * across[x]
         doubt = HALF - HALF * trust[x]
         doubt = doubt if ZERO <= doubt <= ONE else ZERO  # a broken answer doubts nothing
-        for c in range(3):
-            mean = line[before, c] + (line[after, c] - line[before, c]) * across
-            factor[x, c] -= (factor[x, c] - mean) * doubt
+        factor[x] -= (factor[x] - mean) * doubt
 
 
 @compiled
@@ -194,18 +205,22 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
     top, left, first_held = int(window[TOP]), int(window[LEFT]), FINE - fine.shape[1]
     under, beside = top + past.shape[0] < colour.shape[0], left + past.shape[1] < colour.shape[1]
     rows, columns = min(past.shape[0], colour.shape[0] - top), min(past.shape[1], colour.shape[1] - left)
-    line = np.empty((means.shape[1], 3), np.float32)
+    line, reflectance = np.empty((3, means.shape[1]), np.float32), np.empty((3, columns), np.float32)
+    red, green, blue = reflectance[0], reflectance[1], reflectance[2]
+    before, after, across = cells_beside(left, columns, colour.shape[1])
     for y in range(y0, y1):
         first = columns if y < rows else 0
         level[:, y, first:] = ZERO
         if y < past.shape[0]:
             state[y, first:], next_depth[y, first:], factor[y, first:] = ZERO, ZERO, ZERO
-        for x in range(first):
-            factor[y, x, 0], factor[y, x, 1], factor[y, x, 2] = demodulation(
-                diffuse_albedo, specular_albedo, top + y, left + x)
-        if first and means.shape[0] > 1:
-            doubt_row(top + y, top, left, colour.shape[0], colour.shape[1], means,
-                      fine[0, PLANE_TRUST - first_held, y], line, factor[y])
+        if first:
+            demodulation_row(diffuse_albedo[top + y, left:], specular_albedo[top + y, left:], red, green, blue)
+            if means.shape[0] > 1:
+                mean_between(top + y, top, colour.shape[0], means, line)
+                for c in range(3):
+                    doubt_row(line[c], before, after, across, fine[0, PLANE_TRUST - first_held, y], reflectance[c])
+            for c in range(3):
+                place(reflectance[c], c, 3, factor[y].reshape(factor[y].size))
         for x in range(first):
             v, u = top + y, left + x
             share = ONE / (max(past[y, x, 3], ZERO) + ONE)
@@ -220,7 +235,7 @@ def accumulate_rows(y0: int, y1: int, colour: np.ndarray, diffuse_albedo: np.nda
             brightest = np.float32(MAX_COLOUR)
             for c in range(3):
                 exposed = clamp(colour[v, u, c], ZERO, MAX_FLOAT) * params[EXPOSURE]
-                level[c, y, x] = min(exposed / factor[y, x, c], np.float32(MAX_LIGHT))
+                level[c, y, x] = min(exposed / reflectance[c, x], np.float32(MAX_LIGHT))
                 brightest = max(brightest, level[c, y, x])
             for c in range(3):
                 level[c, y, x] *= np.float32(MAX_COLOUR) / brightest  # the sun keeps its hue
