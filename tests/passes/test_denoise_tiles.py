@@ -12,7 +12,18 @@ from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.masks import Threshold, strength_of_converged
 from postfx.passes.denoise import DenoiseUpscale
-from postfx.passes.denoise.tiling import CELL, COARSE, Sizes, bands_of, boxes_of, grids
+from postfx.passes.denoise.tiling import (
+    CELL,
+    COARSE,
+    Box,
+    Sizes,
+    bands_of,
+    boxes_of,
+    can_serve,
+    grids,
+    shape_for,
+    tiles_of,
+)
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from tests.passes.denoise_frames import flat, guided, noisy
@@ -84,6 +95,33 @@ def test_boxes_around_what_is_active_are_cut_where_most_is_left_out() -> None:
             left[box.top:box.top + box.rows, box.left:box.left + box.columns] -= 1
         assert left.max() == 0, "what is active lies in a box, and no two boxes overlap"
         assert left.min() >= -1
+
+
+def test_windows_hold_their_boxes_on_the_grid_or_to_the_frames_end() -> None:
+    """Those of their own size, and those that were made ready for other boxes."""
+    random, reused = np.random.default_rng(4), 0
+    for _ in range(300):
+        h, w, grid, halo = *random.integers(30, 300, 2), int(random.choice([4, 16])), int(random.integers(4, 60))
+        frame = Sizes(int(h), int(w), 2 * int(h), 2 * int(w), grid)
+        sets = [[some_box(random, frame) for _ in range(random.integers(1, 4))] for _ in range(2)]
+        shapes = [shape_for(frame, boxes, halo) for boxes in sets]
+        for shape in {shapes[0], *(one for one in shapes[1:] if can_serve(frame, shapes[0], one))}:
+            reused += shape != shapes[0]
+            for tile, box in zip(tiles_of(frame, sets[0], shape, halo), sets[0], strict=True):
+                held = tile.window
+                for first, count, begin, length, size in ((held.top, held.rows, box.top, box.rows, frame.h),
+                                                          (held.left, held.columns, box.left, box.columns, frame.w)):
+                    assert first % grid == 0 and (count % grid == 0 or first + count == size)
+                    assert first <= max(0, begin - halo) and first + count >= min(begin + length + halo, size)
+    assert reused > 30
+
+
+def some_box(random: np.random.Generator, frame: Sizes) -> Box:
+    """Within the frame, often at its end."""
+    top, left = (int(random.integers(0, side - 1)) // CELL * CELL for side in (frame.h, frame.w))
+    rows, columns = (side - first if random.random() < 0.5 else int(random.integers(1, side - first + 1))
+                     for side, first in ((frame.h, top), (frame.w, left)))
+    return Box(top, left, rows, columns)
 
 
 @pytest.mark.parametrize("size", [(100, 150), (96, 33), (16, 16)])

@@ -33,6 +33,7 @@ from postfx.passes.denoise.tiling import (
     around,
     band_of,
     bands_within,
+    can_serve,
     cost,
     halo_of,
     rows_of,
@@ -225,8 +226,8 @@ class Frames:
         count, least = len(boxes), cost(shape, len(boxes))
         if least > GAIN * cost((self._sizes.h, self._sizes.w), 1):
             return None
-        ready = [one for one in self._graphs if one[0] >= shape[0] and one[1] >= shape[1]
-                 and cost(one, count) <= CLOSE * least]
+        ready = [one for one in self._graphs
+                 if can_serve(self._sizes, shape, one) and cost(one, count) <= CLOSE * least]
         shape = min(ready, key=lambda one: cost(one, count)) if ready else self._make(shape)
         return band_of(self._sizes, boxes, shape, self._halo)
 

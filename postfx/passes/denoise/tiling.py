@@ -52,7 +52,7 @@ class Box(NamedTuple):
 @dataclass(frozen=True)
 class Window:
     """A part of a frame at render size. Its first row and column are multiples of the frame's grid. It may end beyond
-    the frame. If it is smaller than the frame, its size is a multiple of the grid, too."""
+    the frame. If it is smaller than the frame, its size is a multiple of the grid, too, or it ends with the frame."""
 
     frame: Sizes
     top: int
@@ -315,9 +315,24 @@ def _area(box: Box) -> int:
 
 def shape_for(frame: Sizes, boxes: Iterable[Box], halo: int) -> Shape:
     """Size of the smallest window that can hold any of these boxes with its halo."""
-    spans = [(_span(box.top, box.rows, frame.h, halo, frame.grid),
-              _span(box.left, box.columns, frame.w, halo, frame.grid)) for box in boxes]
-    return whole_sides(frame, tuple(max(end - first for first, end in side) for side in zip(*spans, strict=True)))
+    rows, columns = zip(*((_span(box.top, box.rows, frame.h, halo, frame.grid),
+                           _span(box.left, box.columns, frame.w, halo, frame.grid)) for box in boxes), strict=True)
+    return _longest_of(rows, frame.h, frame.grid), _longest_of(columns, frame.w, frame.grid)
+
+
+def _longest_of(spans: Sequence[Rows], size: int, grid: int) -> int:
+    """The longest of some spans. Where all end beyond the frame's side, it ends with it, so that windows can be written
+    in place."""
+    longest, end = max(end - first for first, end in spans), whole_steps(size, grid)
+    return longest - (end - size) if all(span[1] == end for span in spans) else min(longest, size)
+
+
+def can_serve(frame: Sizes, shape: Shape, ready: Shape) -> bool:
+    """Whether windows that are ready can take the place of those of a shape: they are no smaller, and must end with the
+    frame only where the others do."""
+    sides = zip(shape, ready, (frame.h, frame.w), strict=True)
+    return all(have >= side and (have % frame.grid == 0 or have == size or side % frame.grid > 0)
+               for side, have, size in sides)
 
 
 def whole_sides(frame: Sizes, shape: Shape) -> Shape:
@@ -341,7 +356,7 @@ def tiles_of(frame: Sizes, boxes: Iterable[Box], shape: Shape, halo: int) -> tup
 
 
 def _origin(first: int, count: int, size: int, halo: int, grid: int) -> int:
-    last = 0 if count >= size else whole_steps(size, grid) - count
+    last = 0 if count >= size else whole_steps(size, grid) - whole_steps(count, grid)
     return min(max(0, first - halo) // grid * grid, last)
 
 
