@@ -30,14 +30,7 @@ extern "C" __global__ void __launch_bounds__(256, 4) apply_cube(View colour, Vie
         found[3 * k + 1] = one.g;
         found[3 * k + 2] = one.b;
     }
-    if (width % 2 == 0) {
-        const Pair own[3] = {{found[0], found[1]}, {found[2], found[3]}, {found[4], found[5]}};
-        put_row(staged[threadIdx.y], own, &pair(output, 3 * (size_t(y) * width + start) / 2), 3 * (width - start) / 2);
-    } else {
-#pragma unroll
-        for (int i = 0; i < 6; i++)
-            if (i < count) output.at[here + i] = found[i];
-    }
+    put_pixels(staged[threadIdx.y], found, output, y, x, start);
 }
 
 // Colour (height, width, 3) to a display's code values: decoded if it is code values, turned by a matrix, cut, encoded.

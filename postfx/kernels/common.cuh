@@ -7,6 +7,10 @@ struct Colour {
     float r, g, b;
 };
 
+__device__ inline void add(Colour& sum, const Colour& light, float weight) {
+    sum = {sum.r + weight * light.r, sum.g + weight * light.g, sum.b + weight * light.b};
+}
+
 // Within [low, high], which holds 0 or lies above it; a NaN becomes the value nearest to 0.
 __device__ inline float clamped(float value, float low, float high) {
     return fminf(fmaxf(low, value == value ? value : 0.0f), high);
@@ -62,11 +66,6 @@ __device__ inline float possible_motion(float value) {
     return value > -MOST_MOTION && value < MOST_MOTION ? value : 0.0f;
 }
 
-// log(1 + x) of an exposed colour in [0, 1e4].
-__device__ inline float log_encode(float exposed) {
-    return log1pf(fminf(fmaxf(0.0f, exposed), MAX_COLOUR));
-}
-
 // Reflectance that colour is divided by at a pixel (y, x) of albedos (h, w, 3).
 __device__ inline Colour demodulation(const View& diffuse, const View& specular, int y, int x) {
     const int at = 3 * (y * diffuse.size[1] + x);
@@ -119,6 +118,25 @@ __device__ inline unsigned short to_half(float value) {
     asm("cvt.rn.f16.f32 %0, %1;" : "=h"(bits) : "f"(value));
     return bits;
 }
+
+// A GPU's own functions, one instruction each, to about 2^-22; of log2_of absolute, between 1 and 2.
+__device__ inline float log2_of(float value) {
+    float result;
+    asm("lg2.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+}
+
+__device__ inline float exp2_of(float value) {
+    float result;
+    asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+}
+
+__device__ inline float over_one(float value) {
+    float result;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+}
 #else
 inline float from_half(unsigned short bits) {
     return __builtin_bit_cast(_Float16, bits);
@@ -127,7 +145,37 @@ inline float from_half(unsigned short bits) {
 inline unsigned short to_half(float value) {
     return __builtin_bit_cast(unsigned short, _Float16(value));
 }
+
+inline float log2_of(float value) {
+    return log2f(value);
+}
+
+inline float exp2_of(float value) {
+    return exp2f(value);
+}
+
+inline float over_one(float value) {
+    return 1.0f / value;
+}
 #endif
+
+// log(1 + x) and exp(x) - 1 of what is finite and not below 0, to 3e-6: of small numbers by their series.
+const float SMALL_NUMBER = 0.0625f, LOG2_E = 1.44269504f;
+
+__device__ inline float log1p_of(float x) {
+    const float series = x * (1.0f - x * (0.5f - x * (0.333333333f - x * (0.25f - x * 0.2f))));
+    return x < SMALL_NUMBER ? series : log2_of(1.0f + x) * (1.0f / LOG2_E);
+}
+
+__device__ inline float expm1_of(float x) {
+    const float series = x * (1.0f + x * (0.5f + x * (0.166666667f + x * 0.0416666667f)));
+    return x < SMALL_NUMBER ? series : exp2_of(x * LOG2_E) - 1.0f;
+}
+
+// log(1 + x) of an exposed colour in [0, 1e4].
+__device__ inline float log_encode(float exposed) {
+    return log1p_of(fminf(fmaxf(0.0f, exposed), MAX_COLOUR));
+}
 
 // Threads of a block, across and down, of kernels whose threads make pixels: PIXELS in postfx/runtime/cuda.py.
 [[maybe_unused]] const int ACROSS = 32;
@@ -153,6 +201,28 @@ __device__ inline void put_row(T (&staged)[3 * ACROSS], const T (&own)[3], T* to
         if (at < count) to[at] = staged[at];
     }
     __syncwarp();
+}
+
+// Two pixels beside each other, from an even one on, at (y, x) of a picture (height, width, 3).
+__device__ inline void put_beside(const float (&light)[6], const View& picture, int y, int x) {
+    const int width = picture.size[1];
+    const size_t at = 3 * (size_t(y) * width + x);
+#pragma unroll
+    for (int i = 0; i < 6; i += 2) {
+        if (width % 2 == 0) pair(picture, (at + i) / 2) = {light[i], light[i + 1]};
+        else if (i < 3 || x + 1 < width) picture.at[at + i] = light[i];
+        if (width % 2 && (i + 1 < 3 || x + 1 < width)) picture.at[at + i + 1] = light[i + 1];
+    }
+}
+
+// The same of each thread of a row, whose first one has (y, first): a warp writes them side by side. The last threads may
+// have what the one before them has.
+__device__ inline void put_pixels(Pair (&staged)[3 * ACROSS], const float (&light)[6], const View& picture, int y, int x,
+                                  int first) {
+    const int width = picture.size[1];
+    if (width % 2) return put_beside(light, picture, y, x);
+    const Pair own[3] = {{light[0], light[1]}, {light[2], light[3]}, {light[4], light[5]}};
+    put_row(staged, own, &pair(picture, 3 * (size_t(y) * width + first) / 2), 3 * (width - first) / 2);
 }
 
 // Heads are numbers in single precision, or bits of half precision.
@@ -199,8 +269,8 @@ __device__ inline Colour shaped(const Shaper& by, const float* colour) {
                           fmaxf(m[3] * r + m[4] * g + m[5] * b, 0.0f) * by.gain,
                           fmaxf(m[6] * r + m[7] * g + m[8] * b, 0.0f) * by.gain};
     const float fit = by.most / fmaxf(fmaxf(light.r, light.g), fmaxf(light.b, by.most));
-    return {fminf(log2f(light.r * fit + 1.0f) * by.scale, 1.0f), fminf(log2f(light.g * fit + 1.0f) * by.scale, 1.0f),
-            fminf(log2f(light.b * fit + 1.0f) * by.scale, 1.0f)};
+    return {fminf(log2_of(light.r * fit + 1.0f) * by.scale, 1.0f), fminf(log2_of(light.g * fit + 1.0f) * by.scale, 1.0f),
+            fminf(log2_of(light.b * fit + 1.0f) * by.scale, 1.0f)};
 }
 
 // postfx/kernels/colour.py: tetrahedral look-up of a shaped colour, clipped to [0, 1], in a cube (size, size, size, 3).
@@ -230,7 +300,7 @@ __device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
 
 // How much a sample says about an output pixel at a distance in render pixels.
 __device__ inline float gauss(float distance) {
-    return expf(-2.0f * distance * distance);
+    return exp2_of(-2.0f * LOG2_E * distance * distance);
 }
 
 // A head's value at an output pixel from its first of four planes, one for each quarter-pixel corner of a render pixel,
@@ -280,7 +350,9 @@ __device__ inline Before before_of(int y, int x, const Window& part, const View&
     const int height = part.height, width = part.width;
     const unsigned h = part.h, w = part.w, v = unsigned(y), u = unsigned(x);
     // The render pixel that holds this pixel's centre.
-    const int from_y = int((2u * v + 1u) * h / (2u * height)), from_x = int((2u * u + 1u) * w / (2u * width));
+    const bool doubled = is_doubled(part);
+    const int from_y = doubled ? y / 2 : int((2u * v + 1u) * h / (2u * height));
+    const int from_x = doubled ? x / 2 : int((2u * u + 1u) * w / (2u * width));
     const int row = within(from_y - part.top, moved.size[0]), column = within(from_x - part.left, moved.size[1]);
     const Pair motion = pair(moved, size_t(row) * moved.size[1] + column);
     const float right = motion.x * (float(width) / float(w)), down = motion.y * (float(height) / float(h));

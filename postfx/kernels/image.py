@@ -207,7 +207,7 @@ def resample(image: np.ndarray, height: int, width: int, jitter: tuple[float, fl
 
 RESAMPLE = Kernel("resample", ("image", "rows", "columns"), ("output",), resample_rows, ("output", 0),
                   {"image": ("h", "w", "channels"), "rows": ("height",), "columns": ("width",),
-                   "output": ("height", "width", "channels")})
+                   "output": ("height", "width", "channels")}, pixels=(2, 2))
 
 
 

@@ -117,7 +117,7 @@ __device__ inline void keep_together(const float* channels, const View& packed, 
 
 // This frame's colour of a channel without reflectance, log-encoded; `share` is one over the reflectance.
 __device__ inline float encoded_now(float value, float exposure, float share) {
-    return log1pf(fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure * share, MAX_COLOUR));
+    return log1p_of(fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure * share, MAX_COLOUR));
 }
 
 // The change of depth since the frame before.
@@ -155,9 +155,9 @@ __device__ inline void prepare_features(View colour, View diffuse_albedo, View s
              encoded_now(now.b, exposure, share.b)});
     put(to + 3, {log_encode(kept.r * memory.valid), log_encode(kept.g * memory.valid),
                  log_encode(kept.b * memory.valid)});
-    put(to + 6, {log_encode(expm1f(mean.r) * memory.valid * share.r),
-                 log_encode(expm1f(mean.g) * memory.valid * share.g),
-                 log_encode(expm1f(mean.b) * memory.valid * share.b)});
+    put(to + 6, {log_encode(expm1_of(mean.r) * memory.valid * share.r),
+                 log_encode(expm1_of(mean.g) * memory.valid * share.g),
+                 log_encode(expm1_of(mean.b) * memory.valid * share.b)});
     put_bounded(to + 9, diffuse, 0.0f, 2.0f);
     put_bounded(to + 12, specular, 0.0f, 2.0f);
     put_bounded(to + 15, direction, -1.0f, 1.0f);

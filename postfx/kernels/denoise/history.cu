@@ -52,65 +52,77 @@ __device__ inline float rescaled(float encoded, float gain) {
     return gain == 1.0f ? held : log1pf(expm1f(held) * gain);
 }
 
-// A thread makes two pixels, one below the other. Most of a block's were about as far away as its middle one: those that
-// were so up to SLACK pixels find what they read in shared memory, the others read the history.
-const int SLACK = 2, BEFORE_WIDE = ACROSS + 3 + 2 * SLACK, BEFORE_HIGH = 2 * DOWN + 3 + 2 * SLACK;
+// A thread makes 2x2 pixels, which move alike where they have a render pixel in common. Most of a block's were about as
+// far away as its middle one: those that were so up to SLACK pixels find what they read in shared memory, the others read
+// the history.
+const int SLACK = 2, BEFORE_WIDE = 2 * ACROSS + 3 + 2 * SLACK, BEFORE_HIGH = 2 * DOWN + 3 + 2 * SLACK;
 
 extern "C" __global__ void __launch_bounds__(256, 4) denoise_history(View history, View moved, View params, View window,
                                                                      View out_rows, View out_columns, View warped) {
-    __shared__ float tile[BEFORE_HIGH][3 * BEFORE_WIDE], staged[DOWN][3 * ACROSS];
+    __shared__ float tile[BEFORE_HIGH][3 * BEFORE_WIDE];
+    __shared__ Pair staged[DOWN][3 * ACROSS];
     const Window part = window_of(window);
     const int rows = warped.size[0], columns = warped.size[1];
-    const int first_y = 2 * DOWN * blockIdx.y, first_x = ACROSS * blockIdx.x;
-    const int middle_y = min(first_y + DOWN, rows - 1), middle_x = min(first_x + ACROSS / 2, columns - 1);
-    const Before middle = before_of(int(out_rows.at[middle_y]), int(out_columns.at[middle_x]), part, moved);
-    const int top = middle.top - (middle_y - first_y) - SLACK, left = middle.left - (middle_x - first_x) - SLACK;
+    const int first_y = 2 * DOWN * blockIdx.y, first_x = 2 * ACROSS * blockIdx.x;
+    const auto before_at = [&](int y, int x) {
+        return before_of(min(part.out_top + y, part.height - 1), min(part.out_left + x, part.width - 1), part, moved);
+    };
+    const int y = first_y + 2 * threadIdx.y, x = min(first_x + 2 * int(threadIdx.x), (columns - 1) / 2 * 2);
+    const int down_by = min(DOWN, rows - 1 - first_y), right_by = min(ACROSS, columns - 1 - first_x);
+    const Before middle = before_at(first_y + down_by, first_x + right_by), own = before_at(y, x);
+    const int top = middle.top - down_by - SLACK, left = middle.left - right_by - SLACK;
+    const bool whole = left >= 0 && left + BEFORE_WIDE <= part.width;
 #pragma unroll
     for (int j = 0; j < BEFORE_HIGH; j += DOWN) {
         const int row = j + threadIdx.y;
-        const float* const from = history.at + size_t(3) * within(top + row, part.height) * part.width;
+        if (row >= BEFORE_HIGH) break;
+        const float* const line = history.at + size_t(3) * within(top + row, part.height) * part.width;
+        if (whole) {
 #pragma unroll
-        for (int i = 0; i < 3 * BEFORE_WIDE; i += ACROSS) {
-            const int column = i + threadIdx.x;
-            if (row < BEFORE_HIGH && column < 3 * BEFORE_WIDE)
-                tile[row][column] = from[3 * within(left + column / 3, part.width) + column % 3];
+            for (int i = 0; i < 3 * BEFORE_WIDE; i += ACROSS)
+                if (i + threadIdx.x < 3 * BEFORE_WIDE) tile[row][i + threadIdx.x] = line[3 * left + i + threadIdx.x];
+        } else {
+#pragma unroll 1
+            for (int i = threadIdx.x; i < 3 * BEFORE_WIDE; i += ACROSS)
+                tile[row][i] = line[3 * within(left + i / 3, part.width) + i % 3];
         }
     }
     __syncthreads();
-    const int y = first_y + 2 * threadIdx.y, x = min(first_x + int(threadIdx.x), columns - 1), count = min(rows - y, 2);
-    if (count <= 0) return;
-    const int u = int(out_columns.at[x]);
-    const Before first = before_of(int(out_rows.at[y]), u, part, moved);
-    const Before second = before_of(int(out_rows.at[y + count - 1]), u, part, moved);
-    const int row = first.top - top, column = first.left - left;
-    const bool held = row >= 0 && row + 5 <= BEFORE_HIGH && column >= 0 && column + 4 <= BEFORE_WIDE;
-    Colour found[2];
-    if (held && second.right == first.right && second.down == first.down && second.top == first.top + 1) {
+    if (y >= rows) return;
+    const int row = own.top - top, column = own.left - left;
+    const bool held = row >= 0 && row + 5 <= BEFORE_HIGH && column >= 0 && column + 5 <= BEFORE_WIDE;
+    Colour found[4] = {};
+    if (held && is_doubled(part)) {
         const int places[4] = {0, 3, 6, 9};
-        const Four across = cubic_weights(first.right - floorf(first.right));
-        const Four down = cubic_weights(first.down - floorf(first.down));
-        Colour line[5];
+        const Four across = cubic_weights(own.right - floorf(own.right));
+        const Four down = cubic_weights(own.down - floorf(own.down));
+        const float weights[4] = {down.x, down.y, down.z, down.w};
 #pragma unroll
-        for (int j = 0; j < 5; j++) line[j] = row_of(tile[row + j] + 3 * column, places, across);
-        found[0] = column_of(line[0], line[1], line[2], line[3], down);
-        found[1] = column_of(line[1], line[2], line[3], line[4], down);
+        for (int j = 0; j < 5; j++) {
+            const float* const from = tile[row + j] + 3 * column;
+            const Colour one = row_of(from, places, across), two = row_of(from + 3, places, across);
+            if (j < 4) add(found[0], one, weights[j]), add(found[1], two, weights[j]);
+            if (j > 0) add(found[2], one, weights[j - 1]), add(found[3], two, weights[j - 1]);
+        }
     } else {
 #pragma unroll
-        for (int k = 0; k < 2; k++) {
-            const Before& one = k ? second : first;
+        for (int k = 0; k < 4; k++) {
+            const Before one = before_at(y + k / 2, x + k % 2);
             const int j = one.top - top, i = one.left - left;
             const bool inside = j >= 0 && j + 4 <= BEFORE_HIGH && i >= 0 && i + 4 <= BEFORE_WIDE;
-            found[k] = inside ? moved_picture(tile[0], {BEFORE_HIGH, BEFORE_WIDE}, {one.right, one.down, j, i})
-                              : moved_picture(history.at, {part.height, part.width}, one);
+            found[k] = moved_picture(inside ? tile[0] : history.at,
+                                     inside ? Size{BEFORE_HIGH, BEFORE_WIDE} : Size{part.height, part.width},
+                                     {one.right, one.down, inside ? j : one.top, inside ? i : one.left});
         }
     }
     const float gain = params.at[GAIN];
 #pragma unroll
     for (int k = 0; k < 2; k++) {
-        if (k == count) break;
-        const float own[3] = {rescaled(found[k].r, gain), rescaled(found[k].g, gain), rescaled(found[k].b, gain)};
-        float* const to = warped.at + 3 * (size_t(y + k) * columns + first_x);
-        put_row(staged[threadIdx.y], own, to, 3 * (columns - first_x));
+        if (y + k == rows) break;
+        const Colour &one = found[2 * k], &two = found[2 * k + 1];
+        const float light[6] = {rescaled(one.r, gain), rescaled(one.g, gain), rescaled(one.b, gain),
+                                rescaled(two.r, gain), rescaled(two.g, gain), rescaled(two.b, gain)};
+        put_pixels(staged[threadIdx.y], light, warped, y + k, x, first_x);
     }
 }
 

@@ -294,7 +294,7 @@ def history_rows(y0: int, y1: int, history: np.ndarray, moved: np.ndarray, param
 
 
 HISTORY = replace(kernel("history", ("history", "moved", "params", "window", "out_rows", "out_columns"), ("warped",),
-                         history_rows, ("warped", 0)), pixels=(2, 1))
+                         history_rows, ("warped", 0)), pixels=(2, 2))
 
 
 FOCAL, FOCAL_THEN, JITTER, TURN, SHIFT, WORLD, CAMERA = 0, 2, 4, 6, 15, 18, 27

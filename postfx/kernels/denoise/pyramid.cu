@@ -173,15 +173,11 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
     const int top = blockIdx.y * DOWN, left = blockIdx.x * ACROSS;
     const int y = top + threadIdx.y, x = left + threadIdx.x;
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
-    float weights[SIDE * SIDE], total = TINY;
+    const bool inside = y < height && x < width;
+    Number read[SIDE * SIDE];  // read first and looked at last, so that all reads wait together
 #pragma unroll
-    for (int i = 0; i < SIDE * SIDE; i++) {  // taps beyond the picture do not count
-        const int v = y + i / SIDE - REACH, u = x + i % SIDE - REACH;
-        const bool counts = y < bottom && x < right && v >= 0 && v < bottom && u >= 0 && u < right;
-        weights[i] = counts ? as_float(numbers<Number>(heads)[i * plane + here]) : 0.0f;
-    }
-#pragma unroll
-    for (int i = 0; i < SIDE * SIDE; i++) total += weights[i];
+    for (int i = 0; i < SIDE * SIDE; i++)
+        read[i] = inside ? numbers<Number>(heads)[i * plane + here] : Number(0);
     for (int k = 0; k < level.size[0]; k += 3) {
         const int second = k + 1 < level.size[0] ? 1 : 0, third = 2 * second;  // one plane is read three times
         if (k) __syncthreads();
@@ -190,25 +186,28 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
             const int n = first + threadIdx.y * ACROSS + threadIdx.x;
             if (n >= HIGH * WIDE) break;
             const int j = n / WIDE, i = n % WIDE, v = top + j - REACH, u = left + i - REACH;
-            const bool held = v >= 0 && v < bottom && u >= 0 && u < right;
+            const bool is_there = v >= 0 && v < height && u >= 0 && u < width, held = is_there && v < bottom && u < right;
             Trusted by = {0.0f, size_t(v) * width + u, 0};
-            if (MIXES && held) by = trusted_at<Number>(coarse, level, heads, rows, columns, v, u);
+            if (MIXES && is_there) by = trusted_at<Number>(coarse, level, heads, rows, columns, v, u);
 #pragma unroll
             for (int c = 0; c < 3; c++) {
                 const int from = k + (c == 0 ? 0 : c == 1 ? second : third);
                 const float* const own = level.at + from * plane + by.here;
-                tile[c][j][i] = !held ? 0.0f : MIXES ? mixed_at(coarse, level, by, from) : *own;
+                const float value = !is_there ? 0.0f : MIXES ? mixed_at(coarse, level, by, from) : *own;
+                tile[c][j][i] = held ? value : 0.0f;
             }
         }
         __syncthreads();
-        if (y >= height || x >= width) continue;
+        if (!inside) continue;
         Colour sum = {0.0f, 0.0f, 0.0f};
+        float total = TINY;
 #pragma unroll
-        for (int i = 0; i < SIDE * SIDE; i++) {
-            const int v = threadIdx.y + i / SIDE, u = threadIdx.x + i % SIDE;
-            sum.r += weights[i] * tile[0][v][u];
-            sum.g += weights[i] * tile[1][v][u];
-            sum.b += weights[i] * tile[2][v][u];
+        for (int i = 0; i < SIDE * SIDE; i++) {  // taps beyond the picture do not count
+            const int j = threadIdx.y + i / SIDE, n = threadIdx.x + i % SIDE, v = top + j - REACH, u = left + n - REACH;
+            const bool counts = y < bottom && x < right && v >= 0 && v < bottom && u >= 0 && u < right;
+            const float weight = counts ? as_float(read[i]) : 0.0f;
+            total += weight;
+            add(sum, {tile[0][j][n], tile[1][j][n], tile[2][j][n]}, weight);
         }
         put(k, second, y, x, Colour{sum.r / total, sum.g / total, sum.b / total});
     }

@@ -12,8 +12,9 @@ struct Guide {
 
 // Normalised weights of the samples at -1, 0 and 1 plus `offset` for the softened picture.
 __device__ inline void wide_gauss(float offset, float weights[3]) {
-    const float before = expf(-0.5f * (offset - 1.0f) * (offset - 1.0f)), here = expf(-0.5f * offset * offset);
-    const float after = expf(-0.5f * (offset + 1.0f) * (offset + 1.0f)), share = 1.0f / (before + here + after);
+    const float scale = -0.5f * LOG2_E, before = exp2_of(scale * (offset - 1.0f) * (offset - 1.0f));
+    const float here = exp2_of(scale * offset * offset), after = exp2_of(scale * (offset + 1.0f) * (offset + 1.0f));
+    const float share = over_one(before + here + after);
     weights[0] = before * share;
     weights[1] = here * share;
     weights[2] = after * share;
@@ -34,15 +35,13 @@ __device__ inline Colour light_at(const float* sample, int plane, const Guide& g
             own.b + (whole.b - own.b) * guide.trust};
 }
 
-__device__ inline void add(Colour& sum, const Colour& light, float weight) {
-    sum = {sum.r + weight * light.r, sum.g + weight * light.g, sum.b + weight * light.b};
-}
-
 // The mean of light, sharpened and encoded, which LINEAR light is not; and how much of the history it keeps.
 template <bool LINEAR>
 __device__ inline Enlarged finished(const Colour& sum, const Colour& soft, float total, float sharpen, float kept) {
-    if (LINEAR) return {{sum.r / total, sum.g / total, sum.b / total}, kept};
-    const Colour sharp = {log_encode(sum.r / total), log_encode(sum.g / total), log_encode(sum.b / total)};
+    const float share = over_one(total);
+    const Colour mean = {sum.r * share, sum.g * share, sum.b * share};
+    if (LINEAR) return {mean, kept};
+    const Colour sharp = {log_encode(mean.r), log_encode(mean.g), log_encode(mean.b)};
     return {{fmaxf(sharp.r + sharpen * (sharp.r - log_encode(soft.r)), 0.0f),
              fmaxf(sharp.g + sharpen * (sharp.g - log_encode(soft.g)), 0.0f),
              fmaxf(sharp.b + sharpen * (sharp.b - log_encode(soft.b)), 0.0f)},
@@ -162,7 +161,7 @@ __device__ inline void blend_pixel(const Enlarged& found, size_t pixel, const Vi
         const size_t at = 3 * pixel + c;
         const float light = blended(current[c], found.kept, warped.at[at]);
         history.at[at] = light;
-        output.at[at] = expm1f(light) * darken;
+        output.at[at] = expm1_of(light) * darken;
     }
 }
 
@@ -181,7 +180,7 @@ __device__ inline void blend_two(const Enlarged& one, const Enlarged& two, size_
     for (int i = 0; i < 3; i++) {
         light[i] = {blended(current[2 * i], 2 * i < 3 ? one.kept : two.kept, light[i].x),
                     blended(current[2 * i + 1], 2 * i + 1 < 3 ? one.kept : two.kept, light[i].y)};
-        shown[i] = {expm1f(light[i].x) * darken, expm1f(light[i].y) * darken};
+        shown[i] = {expm1_of(light[i].x) * darken, expm1_of(light[i].y) * darken};
     }
     put_row(staged, light, &pair(history, 3 * first / 2), 3 * left / 2);
     put_row(staged, shown, &pair(output, 3 * first / 2), 3 * left / 2);
