@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, PostfxError, Role
-from postfx.passes import Downloads
+from postfx.errors import FrameError
+from postfx.passes import Downloads, share_planes
 from postfx.runtime import BindingError, HazardError, memory
 from postfx.runtime import device as device_module
 from postfx.runtime.device import ProviderMemory, cuda_fault
@@ -137,6 +138,16 @@ def test_tensors_of_pytorch_are_looked_at(far, monkeypatch):
 
     monkeypatch.setattr(torch.cuda, "current_stream", lambda index: type("Stream", (), {"cuda_stream": 40 + index}))
     plane = torch.rand(4, 5, 3)
+    planes, last = {role: torch.rand(4, 5, 3).as_subclass(Far) for role in (Role.COLOUR, Role.NORMAL)}, {}
+    for calls in (2, 1, 1):  # for the same tensors once
+        del far.memory.followed[:]
+        last, before = share_planes(far, "plane", planes, last), last
+        assert far.memory.followed == [40] * calls and all(last[role] is before[role] for role in before)
+    planes[Role.COLOUR].data = torch.rand(4, 5, 3)  # elsewhere, and the other one of another type
+    planes[Role.NORMAL].data = torch.rand(4, 5, 3).half()
+    assert share_planes(far, "plane", {Role.COLOUR: planes[Role.COLOUR]}, last)[Role.COLOUR] is not last[Role.COLOUR]
+    with pytest.raises(FrameError, match="float16"):
+        share_planes(far, "plane", planes, last)
     for given, dtype in ((plane, "float32"), (plane[1:].half(), "float16"), (plane.bfloat16()[:0], "bfloat16")):
         del far.memory.followed[:]
         tensor = far.wrap("x", given.as_subclass(Far))

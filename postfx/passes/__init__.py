@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from postfx.errors import FrameError, NotCompiledError, PassOptionError
 from postfx.frame import ROLES, Frame, FrameSpec, GuideSpec, Role
+from postfx.runtime.memory import follow_torch
 
 if TYPE_CHECKING:
     import numpy as np
@@ -177,7 +178,7 @@ def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any],
 
     Raises FrameError for an unknown role, a wrong shape or type, BindingError for what cannot be read.
     """
-    found = {}
+    found, waits = {}, False
     for name, plane in planes.items():
         try:
             role = Role(name)
@@ -185,13 +186,15 @@ def share_planes(device: Device, kind: str, planes: Mapping[Role | str, Any],
             raise FrameError(f"{kind} '{name}' has no meaning here: roles are {', '.join(Role)}") from None
         before = last.get(role)
         if before and before.is_on(plane):
-            found[role] = before
+            found[role], waits = before, waits or not device.memory.host_visible
             continue
         tensor = device.wrap(str(role), plane)
         found[role] = tensor = before if before and before.is_same_memory(tensor) else tensor
         if tensor.dtype != "float32" or len(tensor.shape) != 3 or tensor.shape[2] != ROLES[role].channels:
             raise FrameError(f"{kind} '{role}' is {tensor.shape} {tensor.dtype}: it needs (height, width, "
                              f"{ROLES[role].channels}) float32")
+    if waits:  # once for all, as PyTorch's work on them was given to its stream before
+        follow_torch(device.memory)
     return found
 
 

@@ -349,7 +349,7 @@ class Execution:
         forks = footprint.narrow and any(map(_stream, dispatches))
         if not (memory.replays or forks) or self._recorder is not None:
             return None
-        if any(tensor.allocation.lost for dispatch in dispatches for tensor in (*dispatch.reads, *dispatch.writes)):
+        if any(allocation.lost for allocation in footprint.users):
             return None
         states = [dispatch.state for dispatch in dispatches]
         spans: list[Span] | None = None

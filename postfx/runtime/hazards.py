@@ -223,6 +223,17 @@ class Span(NamedTuple):
     users: int
 
 
+class Signature(tuple[object, ...]):
+    """A long tuple to look things up by, whose hash is computed once."""
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        return super().__hash__()
+
+
 class Footprint:
     """The accesses of one command buffer's records.
 
@@ -256,10 +267,10 @@ class Footprint:
                 self._write(tensor)
 
     @cached_property
-    def signature(self) -> tuple[object, ...]:
+    def signature(self) -> Signature:
         """Identifies the dispatches by their states and their tensors' addresses and shapes."""
-        return tuple((id(item.state), *((tensor.start, tensor.shape) for tensor in item.reads + item.writes))
-                     for item in self.dispatches)
+        return Signature((id(item.state), *((tensor.start, tensor.shape) for tensor in item.reads + item.writes))
+                         for item in self.dispatches)
 
     def _read(self, dispatch: Dispatch, tensor: Tensor) -> None:
         allocation, span = tensor.allocation, tensor.span()

@@ -432,6 +432,19 @@ def _from_interface(array: Any, told: Any, memory: Memory) -> BorrowedArray:
     return BorrowedArray(int(pointer or 0), shape, dtype, bool(is_read_only), array)
 
 
+def is_as_lent(array: Any, pointer: int, shape: tuple[int, ...], dtype: str) -> bool:
+    """Whether an array that was borrowed is a tensor of PyTorch, which can be changed in place, and still the same."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(array, torch.Tensor) and bool(
+        array.data_ptr() == pointer and array.shape == shape and array.is_contiguous() and not array.requires_grad
+        and str(array.dtype) == f"torch.{dtype}")
+
+
+def follow_torch(memory: Memory) -> None:
+    """Let commands run after what PyTorch's current stream has to do now."""
+    memory.follow(sys.modules["torch"].cuda.current_stream(memory.place[1]).cuda_stream)
+
+
 def _from_torch(torch: Any, array: Any, memory: Memory) -> BorrowedArray:
     """A tensor of PyTorch, after what its current stream has to do now."""
     if array.requires_grad or array.is_conj() or array.is_neg() or array.layout != torch.strided:
@@ -440,7 +453,7 @@ def _from_torch(torch: Any, array: Any, memory: Memory) -> BorrowedArray:
     shape = tuple(array.shape)
     if not array.is_contiguous():
         _require_contiguous(shape, array.stride())
-    memory.follow(torch.cuda.current_stream(memory.place[1]).cuda_stream)
+    follow_torch(memory)
     return BorrowedArray(array.data_ptr(), shape, str(array.dtype).removeprefix("torch."), False, array)
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from postfx.errors import BindingError, CommandError, DeviceError, HazardError
-from postfx.runtime.memory import CUDA, Memory, Ranges, address, lend, view_at
+from postfx.runtime.memory import CUDA, Memory, Ranges, address, is_as_lent, lend, view_at
 from postfx.system import Scratch
 
 
@@ -429,9 +429,14 @@ class Tensor:
             other.start, other.shape, other.dtype)
 
     def is_on(self, array: object) -> bool:
-        """Whether this tensor, which must not be released, is a NumPy array of float32 in memory that both see."""
-        return isinstance(array, np.ndarray) and array.dtype == np.float32 and array.flags.c_contiguous \
-            and not self.released and (self.start, self.shape) == (address(array), array.shape)
+        """Whether this tensor, which must not be released, is a NumPy array of float32 in memory that both see, or the
+        tensor of PyTorch that it was made of."""
+        if self.released:
+            return False
+        if not isinstance(array, np.ndarray):
+            return array is self.allocation.owner and is_as_lent(array, self.start, self.shape, self.dtype)
+        return array.dtype == np.float32 and array.flags.c_contiguous \
+            and (self.start, self.shape) == (address(array), array.shape)
 
     def host_view(self) -> np.ndarray:
         """Writable view for compiled kernels, made once; checks only that the host can see the memory."""
