@@ -137,6 +137,14 @@ __device__ inline float over_one(float value) {
     asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
     return result;
 }
+
+// What is so many numbers behind another one; the compiler does not know where, so it adds instead of multiplying anew.
+template <class T>
+__device__ inline const T* behind(const T* at, size_t count) {
+    at += count;
+    asm("" : "+l"(at));
+    return at;
+}
 #else
 inline float from_half(unsigned short bits) {
     return __builtin_bit_cast(_Float16, bits);
@@ -156,6 +164,11 @@ inline float exp2_of(float value) {
 
 inline float over_one(float value) {
     return 1.0f / value;
+}
+
+template <class T>
+inline const T* behind(const T* at, size_t count) {
+    return at + count;
 }
 #endif
 

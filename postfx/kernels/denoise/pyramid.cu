@@ -173,13 +173,17 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
     const int top = blockIdx.y * DOWN, left = blockIdx.x * ACROSS;
     const int y = top + threadIdx.y, x = left + threadIdx.x;
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
+    const size_t coarse_plane = size_t(coarse.size[1]) * coarse.size[2];
     const bool inside = y < height && x < width;
     Number read[SIDE * SIDE];  // read first and looked at last, so that all reads wait together
+    const Number* from = numbers<Number>(heads) + here;
 #pragma unroll
-    for (int i = 0; i < SIDE * SIDE; i++)
-        read[i] = inside ? numbers<Number>(heads)[i * plane + here] : Number(0);
+    for (int i = 0; i < SIDE * SIDE; i++) {
+        read[i] = inside ? __ldg(from) : Number(0);
+        from = behind(from, plane);
+    }
     for (int k = 0; k < level.size[0]; k += 3) {
-        const int second = k + 1 < level.size[0] ? 1 : 0, third = 2 * second;  // one plane is read three times
+        const int second = k + 1 < level.size[0] ? 1 : 0;  // one plane is read three times
         if (k) __syncthreads();
 #pragma unroll
         for (int first = 0; first < HIGH * WIDE; first += DOWN * ACROSS) {
@@ -189,27 +193,37 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
             const bool is_there = v >= 0 && v < height && u >= 0 && u < width, held = is_there && v < bottom && u < right;
             Trusted by = {0.0f, size_t(v) * width + u, 0};
             if (MIXES && is_there) by = trusted_at<Number>(coarse, level, heads, rows, columns, v, u);
+            const float *own = level.at + k * plane + by.here, *below = coarse.at + k * coarse_plane + by.below;
 #pragma unroll
             for (int c = 0; c < 3; c++) {
-                const int from = k + (c == 0 ? 0 : c == 1 ? second : third);
-                const float* const own = level.at + from * plane + by.here;
-                const float value = !is_there ? 0.0f : MIXES ? mixed_at(coarse, level, by, from) : *own;
+                float value = 0.0f;
+                if (is_there) {
+                    const float before = MIXES ? __ldg(below) : 0.0f, now = __ldg(own);
+                    value = MIXES ? before + (now - before) * by.own : now;
+                }
                 tile[c][j][i] = held ? value : 0.0f;
+                own = behind(own, second * plane);
+                below = behind(below, second * coarse_plane);
             }
         }
         __syncthreads();
         if (!inside) continue;
         Colour sum = {0.0f, 0.0f, 0.0f};
         float total = TINY;
+        const auto add_taps = [&](bool all) {
 #pragma unroll
-        for (int i = 0; i < SIDE * SIDE; i++) {  // taps beyond the picture do not count
-            const int j = threadIdx.y + i / SIDE, n = threadIdx.x + i % SIDE, v = top + j - REACH, u = left + n - REACH;
-            const bool counts = y < bottom && x < right && v >= 0 && v < bottom && u >= 0 && u < right;
-            const float weight = counts ? as_float(read[i]) : 0.0f;
-            total += weight;
-            add(sum, {tile[0][j][n], tile[1][j][n], tile[2][j][n]}, weight);
-        }
-        put(k, second, y, x, Colour{sum.r / total, sum.g / total, sum.b / total});
+            for (int i = 0; i < SIDE * SIDE; i++) {  // taps beyond the picture do not count
+                const int j = threadIdx.y + i / SIDE, n = threadIdx.x + i % SIDE, v = top + j - REACH, u = left + n - REACH;
+                const bool counts = all || (y < bottom && x < right && v >= 0 && v < bottom && u >= 0 && u < right);
+                const float weight = counts ? as_float(read[i]) : 0.0f;
+                total += weight;
+                add(sum, {tile[0][j][n], tile[1][j][n], tile[2][j][n]}, weight);
+            }
+        };
+        if (top >= REACH && top + DOWN + REACH <= bottom && left >= REACH && left + ACROSS + REACH <= right) add_taps(true);
+        else add_taps(false);
+        const float share = over_one(total);
+        put(k, second, y, x, Colour{sum.r * share, sum.g * share, sum.b * share});
     }
 }
 
