@@ -1,13 +1,24 @@
-"""A cache of things that are costly to make: the one used longest ago goes first."""
+"""What is costly to make is kept: things, of which the one used longest ago goes first, and memory of arrays."""
 
 from __future__ import annotations
 
+import math
+import threading
+import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from typing import Generic, TypeVar
 
+import numpy as np
+
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
+LEAST_REUSED = 1 << 18
+"""Bytes of an array whose memory is worth keeping."""
+LARGER = 1.25
+"""How many times as large as an array the memory may be that it gets."""
+KEPT = 256
+"""Arrays that are made before memory that served none of them goes back to the system."""
 
 
 class LRUCache(Generic[Key, Value]):
@@ -59,3 +70,66 @@ class LRUCache(Generic[Key, Value]):
     def _make_room(self) -> None:
         while len(self._values) >= self._most:
             self._values.popitem(last=False)
+
+
+class SpareMemory:
+    """Memory of arrays that are gone, for new ones. Pages that are new from the system cost a tenth of an interpolated
+    frame's time."""
+
+    def __init__(self) -> None:
+        self._free: list[tuple[int, np.ndarray]] = []
+        self._made, self._lock = 0, threading.Lock()
+
+    def empty(self, shape: tuple[int, ...], dtype: np.typing.DTypeLike = "float32") -> np.ndarray:
+        """An array of any content."""
+        count = math.prod(shape)
+        nbytes = count * np.dtype(dtype).itemsize
+        if nbytes < LEAST_REUSED:
+            return np.empty(shape, dtype)
+        raw = self._take(nbytes)
+        found = np.frombuffer(raw.data, dtype, count)  # all views of it refer to this array, not to the memory
+        weakref.finalize(found, _give_back, weakref.ref(self), raw).atexit = False
+        return found.reshape(shape)
+
+    def _take(self, nbytes: int) -> np.ndarray:
+        with self._lock:
+            self._made += 1
+            self._free[:] = [one for one in self._free if one[0] > self._made - KEPT]
+            fitting = [(raw.nbytes, place) for place, (_, raw) in enumerate(self._free)
+                       if nbytes <= raw.nbytes <= LARGER * nbytes]
+            if fitting:
+                return self._free.pop(min(fitting)[1])[1]
+        return np.empty(nbytes, np.uint8)
+
+    def give(self, raw: np.ndarray) -> None:
+        """Take back the memory of an array that is gone."""
+        self._free.append((self._made, raw))
+
+
+def _give_back(to: weakref.ref[SpareMemory], raw: np.ndarray) -> None:
+    spare = to()  # an array that outlives it does not hold the memory of others
+    if spare is not None:
+        spare.give(raw)
+
+
+_spare: weakref.WeakSet[SpareMemory] = weakref.WeakSet()
+
+
+def reuse_memory() -> SpareMemory:
+    """What `new_array` takes memory from, as long as somebody holds it."""
+    found = next(iter(_spare), None) or SpareMemory()
+    _spare.add(found)
+    return found
+
+
+def new_array(shape: tuple[int, ...], dtype: np.typing.DTypeLike = "float32") -> np.ndarray:
+    """An array of any content, in memory of one that is gone where that is kept."""
+    spare = next(iter(_spare), None)
+    return np.empty(shape, dtype) if spare is None else spare.empty(shape, dtype)
+
+
+def filled_array(shape: tuple[int, ...], value: float | np.float32) -> np.ndarray:
+    """The same (float32), of one value."""
+    found = new_array(shape)
+    found.fill(value)
+    return found

@@ -1,7 +1,8 @@
 """What this process may use of its machine, and where its files lie.
 
-Cores and memory, as affinity and control groups limit them; a memory budget, beyond which arrays lie in temporary
-files; folders for what can be remade, such as compiled kernels; and the folder of the models that ship with the code.
+Cores and memory, as affinity and control groups limit them; threads that share work; a memory budget, beyond which
+arrays lie in temporary files; folders for what can be remade, such as compiled kernels; and the folder of the models
+that ship with the code.
 """
 
 from __future__ import annotations
@@ -17,9 +18,12 @@ import stat
 import sys
 import tempfile
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -130,6 +134,27 @@ def _numbers(folder: Path, names: tuple[tuple[str, ...], ...]) -> Iterator[list[
     for together in names:
         with suppress(OSError, ValueError):  # no such file, or 'max'
             yield [int(word) for name in together for word in (folder / name).read_text().split()]
+
+
+# Work that threads share
+
+
+@cache
+def _threads(waiting: bool) -> ThreadPoolExecutor:
+    """Threads that work, or those that mostly wait for them."""
+    return ThreadPoolExecutor(4 if waiting else usable_cores(), "postfx")
+
+
+def at_once(tasks: Iterable[Callable[[], Any]], waiting: bool = False) -> list[Any]:
+    """Results of functions that run side by side. waiting: they do so themselves with others."""
+    return [task.result() for task in [_threads(waiting).submit(task) for task in tasks]]
+
+
+def in_bands(height: int, kernel: Callable[..., None], *arguments: Any) -> None:
+    """Run a kernel on all rows, in bands side by side: small ones, as some rows take longer than others."""
+    band = max(4, -(-height // (16 * usable_cores()))) * 2
+    at_once([lambda first=first: kernel(first, min(height, first + band), *arguments)  # type: ignore[misc]
+             for first in range(0, height, band)])
 
 
 # A memory budget

@@ -1,9 +1,11 @@
-"""A cache of values, of which the one used longest ago goes first."""
+"""A cache of values, of which the one used longest ago goes first, and memory that is used again."""
 
 import gc
 import weakref
 
-from postfx.caching import LRUCache
+import numpy as np
+
+from postfx.caching import KEPT, LRUCache, filled_array, new_array, reuse_memory
 
 
 class Costly:
@@ -42,3 +44,27 @@ def test_reading_and_setting_count_as_use():
     cache["a"] = 4
     cache["d"] = 5
     assert list(cache) == ["a", "d"] and cache["a"] == 4
+
+
+def test_memory_serves_again_once_no_view_of_an_array_is_left():
+    def place(array: np.ndarray) -> int:
+        return array.__array_interface__["data"][0]
+
+    spare = reuse_memory()
+    one = filled_array((512, 512), 3)
+    at, view = place(one), one[5:, 7:].T
+    del one
+    other = new_array((512, 512))
+    assert place(other) != at and (view == 3).all(), "a view still shows the first one"
+    del view
+    assert place(new_array((500, 512))) == at and place(new_array((9, 512))) != at, "the size decides"
+    held = new_array((512, 512))
+    assert place(held) == at and held.flags.c_contiguous and held.flags.writeable and held.dtype == np.float32
+    del other
+    for _ in range(2 * KEPT):
+        new_array((700, 700))
+    assert [raw.nbytes for _, raw in spare._free] == [4 * 700 * 700], "what serves nothing for long is given back"
+    alive = weakref.ref(spare)
+    del spare
+    assert alive() is None, "an array that is still in use holds no other memory"
+    held += 1

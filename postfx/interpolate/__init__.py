@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from postfx.caching import new_array, reuse_memory
 from postfx.cuts import CutDetector
 from postfx.errors import FrameError
 from postfx.frame import DEPTH_MISS, Frame, Role
@@ -41,9 +42,9 @@ from postfx.interpolate.flow import (
     remove_overlay,
     tone_rows,
 )
-from postfx.interpolate.paths import at_once, in_bands
 from postfx.interpolate.timing import camera_between, follow_light
 from postfx.kernels.statistics import is_finite, is_same_plane
+from postfx.system import at_once, in_bands
 from postfx.temporal.reverse_motion import invert_motion
 
 LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
@@ -94,7 +95,7 @@ class Between:
             if Role.COLOUR not in frame or frame.encoding != "scene-linear":
                 raise FrameError(f"frame {frame.number} ({frame.source or 'of no file'}) has no scene-linear colour: "
                                  "interpolate before the display transform")
-        self.before, self.after, self._later = before, after, later
+        self.before, self.after, self._later, self._memory = before, after, later, reuse_memory()
         self._gathered: list[tuple[Frame, Pair]] = [] if last is None else [
             one for one in last._gathered if one[0] is before or one[0] is after]
         self._earlier = last.before if last is not None and last.after is before else None
@@ -201,7 +202,7 @@ class Between:
         h, w = self._size
         found = []
         for picture in self._pictures:
-            toned = np.empty((h + 2 * MARGIN, w + 2 * MARGIN), np.float32)
+            toned = new_array((h + 2 * MARGIN, w + 2 * MARGIN))
             in_bands(h, tone_rows, picture, self._level, MARGIN, toned)
             toned[:MARGIN], toned[h + MARGIN:] = toned[MARGIN], toned[h + MARGIN - 1]
             found.append(toned)
@@ -296,7 +297,7 @@ class Between:
         motion, depth = (np.ascontiguousarray(frame[role]) if role in frame else
                          np.full((1, self._size[1], count), DEPTH_MISS, np.float32)
                          for role, count in ((Role.MOTION, 2), (Role.DEPTH, 1)))
-        found = np.empty((*self._grid, 2), np.float32), np.empty((*self._grid, 1), np.float32)
+        found = new_array((*self._grid, 2)), new_array((*self._grid, 1))
         paths.gather_cells(motion, depth, self._scale, np.float32(4 * max(self._size)), *found)
         self._gathered.append((frame, found))
         return found
@@ -363,7 +364,7 @@ class Between:
             lambda: paths.splat_paths(first, t), lambda: paths.splat_paths(last, t),
             lambda: bring_to_time(self._flows[0], first.ends[..., 2:], *self._small, self._scale, t),
             lambda: bring_to_time(self._flows[1], last.ends[..., :2], *self._small[::-1], self._scale, 1 - t)])
-        own = np.empty((*self._grid, 8), np.float32)
+        own = new_array((*self._grid, 8))
         in_bands(len(own), merge_sides, one, near, other, far, np.float32(self._scale), own)
         if any((*self.before.jitter, *self.after.jitter)):
             shift = np.array((*self.before.jitter, *self.after.jitter), np.float32)
@@ -372,7 +373,7 @@ class Between:
                 side[..., :4] -= shift / np.float32(self._scale)
         at_once([lambda: paths.fill_holes(own, np.minimum(near, far)), lambda: self._noise])
         in_bands(len(own), measure_change, one, other, np.float32(self._scale), own)
-        cells: np.ndarray = np.empty((*self._grid, 8), np.float32)
+        cells = new_array((*self._grid, 8))
         in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, ahead, back,
                   self._mirrored, first.ends, first.seen, last.ends, last.seen, near, far, first.depth, last.depth, t,
                   self._scale, self._noise, cells)
@@ -395,8 +396,8 @@ class Between:
         data |= {name: (before.parts[name], after.parts[name]) for name in exact}
         stacks = [[_stack([pair[side] for pair in group.values()], self._size) for side in (0, 1)]
                   for group in (light, data)]
-        picture, mixed, taken = (np.empty_like(pair[0]) for pair in (self._pictures, *stacks))
-        motion = np.empty((*self._size, 2) if Role.MOTION in after else (0, 0, 2), np.float32)
+        picture, mixed, taken = (new_array(pair[0].shape) for pair in (self._pictures, *stacks))
+        motion = new_array((*self._size, 2) if Role.MOTION in after else (0, 0, 2))
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and 1
         back = [np.float32((previous - t) * (previous - 1) / t), np.float32(previous * (previous - t) / (1 - t))]
         in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, *self._depths, self._masked,

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from postfx.caching import filled_array, new_array
 from postfx.interpolate.choose import LUMINANCE, SAME
 from postfx.kernels.numeric import Real, compiled, inline, uncounted, vectorised
 from postfx.kernels.vectors import in_lanes
@@ -55,7 +56,7 @@ def estimate_motion(after: np.ndarray, before: np.ndarray, finest: int = FINEST)
         padded, searched = np.pad(one, MARGIN, "edge"), np.pad(other, MARGIN, "edge")
         moved = np.zeros((max(h - PATCH, 0) // STRIDE + 1, max(w - PATCH, 0) // STRIDE + 1, 3), np.float32)
         search(padded.ravel(), searched.ravel(), h, w, flow, moved)
-        flow = np.empty((h, w, 2), np.float32)
+        flow = new_array((h, w, 2))
         spread(padded.ravel(), searched.ravel(), h, w, moved, flow)
     return enlarge_motion(flow, *after.shape)
 
@@ -98,7 +99,7 @@ def tone_rows(y0: int, y1: int, picture: np.ndarray, level: Real, margin: int, t
 def halve(picture: np.ndarray, margin: int = 0) -> np.ndarray:
     """Means of 2x2 pixels of a picture within margins; an odd last row or column is averaged with the margin, or left
     out where there is none."""
-    means = np.empty([(side - 2 * margin + (margin > 0)) // 2 for side in picture.shape], np.float32)
+    means = new_array(tuple((side - 2 * margin + (margin > 0)) // 2 for side in picture.shape))
     average_fours(picture, margin, means)
     return means
 
@@ -115,7 +116,7 @@ def enlarge_motion(flow: np.ndarray, height: int, width: int) -> np.ndarray:
     """Motion in pixels of a picture of this size, interpolated between centres."""
     if flow.shape[:2] == (height, width):
         return flow
-    larger = np.empty((height, width, 2), np.float32)
+    larger = new_array((height, width, 2))
     enlarge(flow, larger)
     return larger
 
@@ -334,7 +335,7 @@ def consistent_motion(ahead: np.ndarray, back: np.ndarray, scale: int = 1) -> tu
 
     scale: pixels of a picture `scale` times as large are what counts, and what the result is in.
     """
-    found = np.empty_like(ahead), np.empty_like(back)
+    found = new_array(ahead.shape), new_array(back.shape)
     for one, other, kept in ((ahead, back, found[0]), (back, ahead, found[1])):
         keep_consistent(one, other, np.float32(scale), kept)
     return found
@@ -365,10 +366,11 @@ def bring_to_time(flow: np.ndarray, known: np.ndarray, one: np.ndarray, other: n
     known: likewise, in cells, motion by planes; NaN where there is none. one, other: grey pictures (rows, columns) of
     this frame and of the one that flow leads to. scale: pixels of a cell.
     """
-    brought = flow.copy()
+    brought = new_array(flow.shape)
+    brought[:] = flow
     if flow.size:
-        move_flow(flow, known, one, other, np.float32(1 / scale), np.float32(share),
-                  np.full(one.shape, 2, np.float32), brought)
+        move_flow(flow, known, one, other, np.float32(1 / scale), np.float32(share), filled_array(one.shape, 2),
+                  brought)
     return brought
 
 

@@ -12,18 +12,15 @@ Lagrange's polynomial through three or four places.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
 
 import numpy as np
 
+from postfx.caching import filled_array, new_array
 from postfx.frame import DEPTH_MISS
 from postfx.io.convert import centre_positions, fit_camera
 from postfx.kernels.numeric import Real, add_eight, compiled, divide_eight, inline, load_eight, store_eight, uncounted
-from postfx.system import usable_cores
+from postfx.system import in_bands
 from postfx.temporal import reverse_motion
 from postfx.temporal.reverse_motion import LOST
 
@@ -55,24 +52,6 @@ LEAST_COSINE = np.float32(0.2)
 """Cosine of the angle by which a thing turns from frame to frame, at least."""
 
 
-@cache
-def _threads(waiting: bool) -> ThreadPoolExecutor:
-    """Threads that work, or those that mostly wait for them."""
-    return ThreadPoolExecutor(4 if waiting else usable_cores(), "postfx interpolate")
-
-
-def at_once(tasks: Iterable[Callable[[], Any]], waiting: bool = False) -> list[Any]:
-    """Results of functions that run side by side. waiting: they do so themselves with others."""
-    return [task.result() for task in [_threads(waiting).submit(task) for task in tasks]]
-
-
-def in_bands(height: int, kernel: Callable[..., None], *arguments: Any) -> None:
-    """Run a kernel on all rows, in bands side by side: small ones, as some rows take longer than others."""
-    band = max(4, -(-height // (16 * usable_cores()))) * 2
-    at_once([lambda first=first: kernel(first, min(height, first + band), *arguments)  # type: ignore[misc]
-              for first in range(0, height, band)])
-
-
 @dataclass
 class Paths:
     """Paths of one frame's pixels.
@@ -102,8 +81,8 @@ def paths_of(motion: np.ndarray, ahead: np.ndarray, depth_before: np.ndarray, de
         goes: motion from the frame after to one further ahead, LOST where that hides a point; None without.
     """
     h, w = motion.shape[:2]
-    first, last = (Paths(np.empty((h, w, 4), np.float32), np.zeros((h, w, 2), np.float32), depth,
-                         np.empty((h, w), np.float32)) for depth in (depth_before, depth_after))
+    first, last = (Paths(new_array((h, w, 4)), filled_array((h, w, 2), 0), depth, new_array((h, w)))
+                   for depth in (depth_before, depth_after))
     none = np.zeros((0, 0, 2), np.float32)
     came, goes = none if came is None else came, none if goes is None else goes
     in_bands(h, lead_back, motion, ahead, depth_before, depth_after, came, goes, last.ends, last.bend, last.seen)
@@ -116,8 +95,7 @@ def splat_paths(paths: Paths, t: float) -> tuple[np.ndarray, np.ndarray]:
     """What arrives at each pixel at time t: the nearest surface's mean path (h, w, 8), as `close_cracks` leaves it,
     NaN where there is none, and its depth (h, w), FAR where nothing arrives."""
     h, w = paths.seen.shape
-    nearest, found = np.full((h, w), FAR, np.float32), np.zeros((h, w, 8), np.float32)
-    depth = np.empty((h, w), np.float32)
+    nearest, found, depth = filled_array((h, w), FAR), filled_array((h, w, 8), 0), new_array((h, w))
     splat_nearest(paths.ends, paths.bend, paths.depth, t, nearest)
     splat_means(paths.ends, paths.bend, paths.depth, paths.seen, t, nearest, found.reshape(-1))
     close_cracks(nearest, found, depth)

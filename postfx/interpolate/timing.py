@@ -18,8 +18,9 @@ import numpy as np
 from postfx.errors import OptionError
 from postfx.frame import Frame, Role
 from postfx.interpolate.choose import STILL
-from postfx.interpolate.paths import ALIKE, in_bands
+from postfx.interpolate.paths import ALIKE
 from postfx.kernels.numeric import Real, uncounted
+from postfx.system import in_bands
 
 _DROP, _FIELD = 1 << 6, 1 << 15
 _PLACES = ((24, 30), (16, 23), (8, 15), (0, 6))
