@@ -2,9 +2,8 @@
 
 Each pixel is taken from both frames, by time, or from the one that shows its point. Where the four cells around it
 follow one path, that is interpolated between them; else the pixel is the mean over their paths (overlapped block motion
-compensation; Orchard and Sullivan 1994). Pictures are sampled by the cubics of Mitchell and Netravali (1988, B = 1 - k,
-C = k / 2) within the range of the four pixels around a place: Catmull and Rom's where both frames show the same detail,
-and B-splines, which average over noise, where they do not.
+compensation; Orchard and Sullivan 1994). The cubics by which pictures are sampled (`postfx.sampling`) keep detail where
+both frames show the same, and average over noise where they do not.
 
 Cells are (rows, columns, 8) float32: a path as in `choose`, the share k of its detail that both frames show, and 0.
 """
@@ -15,10 +14,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from postfx.interpolate.choose import JOINED, SMOOTH, TURNING, differ, is_within
-from postfx.interpolate.choose import OTHER as OTHER
+from postfx.interpolate.choose import JOINED, OTHER, SMOOTH, TURNING, is_within
 from postfx.kernels.numeric import Real, compiled, inline, load_eight, mix_eight, store_eight, uncounted
 from postfx.kernels.vectors import in_lanes
+from postfx.sampling import aim_row, colour_at, corner_of, cubic_one, cubic_pair, has_taps, taps_at
 
 ZERO, ONE = np.float32(0), np.float32(1)
 NOTHING = (ZERO, ZERO, ZERO)
@@ -39,93 +38,6 @@ ELSE, DARK = np.float32(100), np.float32(0.05)
 light, summed over channels, that counts as dark there."""
 Cell: TypeAlias = tuple[Real, Real, Real, Real, Real, Real, Real]
 """A path of a cell, and how sharp the pictures are there."""
-Taps: TypeAlias = tuple[Real, Real, Real, Real]
-Three: TypeAlias = tuple[Real, Real, Real]
-
-CUBIC = ((0.0, 1.0, 0.0, 0.0), (-0.5, 0.0, 0.5, 0.0), (1.0, -2.5, 2.0, -0.5), (-0.5, 1.5, -1.5, 0.5))
-SPLINE = ((1 / 6, 2 / 3, 1 / 6, 0.0), (-0.5, 0.0, 0.5, 0.0), (0.5, -1.0, 0.5, 0.0), (-1 / 6, 0.5, -0.5, 1 / 6))
-"""Weights of four taps around a place after the second one: of its powers from 0 to 3."""
-
-
-def weights_at(v: Any, t: Any, sharp: Any, places: int = 1) -> Any:
-    """Weights of four taps around places in [0, 1) after the second one: sharp times CUBIC, and SPLINE."""
-    ones, first, squares, cubes = (v.constant(places * soft).to(v.constant(places * cubic), sharp)
-                                   for soft, cubic in zip(SPLINE, CUBIC, strict=True))
-    return ((cubes * t + squares) * t + first) * t + ones
-
-
-@in_lanes(4, results=4)
-def taps_at(v: Any, t: Any, sharp: Any) -> Any:
-    """The same in numbers."""
-    weights = weights_at(v, t, sharp)
-    return tuple(weights.number(k) for k in range(4))
-
-
-def weigh_taps(v: Any, flat: Any, at: Any, stride: Any, down: list[Any], across: list[Any]) -> tuple[Any, ...]:
-    """Weighted sum of 4x4 pixels of three numbers, within the range of the middle four. Reads a third of a pixel on."""
-    rows = [v.load(flat, v.step(at, stride, j)) for j in range(4)]
-    column = v.sum([row * weight for row, weight in zip(rows, down, strict=True)])
-    value = v.sum([column.part(3 * i, 4) * weight for i, weight in enumerate(across)])
-    p, q, r, s = (row.part(3 * i, 4) for row in rows[1:3] for i in (1, 2))
-    low, high = p.least(q).least(r.least(s)), p.largest(q).largest(r.largest(s))
-    value = value.largest(low).least(high)
-    return tuple(value.number(k) for k in range(3))
-
-
-@in_lanes(16, results=3)
-def cubic_three(v: Any, flat: Any, at: Any, stride: Any, down: Any, across: Any, sharp: Any) -> Any:
-    """The same at a place after the pixel of the second taps."""
-    under, beside = weights_at(v, down, sharp), weights_at(v, across, sharp)
-    return weigh_taps(v, flat, at, stride, *([side.number(k) for k in range(4)] for side in (under, beside)))
-
-
-@in_lanes(16, results=6)
-def cubic_pair(v: Any, before: Any, at: Any, after: Any, there: Any, stride: Any, taps: Any, first: Any) -> Any:
-    """The same in both frames, by weights as `aim_row` leaves them."""
-    across, down, beside, under = (v.numbers(taps, v.step(first, 4 * k), 4) for k in range(4))
-    return weigh_taps(v, before, at, stride, down, across) + weigh_taps(v, after, there, stride, under, beside)
-
-
-@in_lanes(4, results=0)
-def aim(v: Any, paths: Any, at: Any, y: Any, x: Any, low: Any, right: Any, corners: Any, place: Any, taps: Any,
-        first: Any) -> Any:
-    """`corner_of` and weights of taps for both ends of a path."""
-    pixels, offsets = v.corners(v.join(x, y, x, y), v.load(paths, at), v.join(right, low, right, low))
-    v.store(corners, place, pixels)
-    sharp, = v.numbers(paths, v.step(at, 6), 1)
-    v.store(taps, first, weights_at(v, offsets.pick([k // 4 for k in range(16)]), sharp, 4))
-
-
-@uncounted
-def aim_row(y: int, h: int, paths: np.ndarray, corners: np.ndarray, taps: np.ndarray) -> None:
-    """The same for a row of pixels: corners (w, 4), across and down in both frames, and taps of each, flat. Loads of
-    pictures that wait for places in a loop of their own overlap more."""
-    w, flat = paths.shape[0], paths.reshape(-1)
-    v, low, right = np.float32(y), np.float32(h - 1), np.float32(w - 1)
-    for x in range(w):
-        aim(flat, 8 * x, v, np.float32(x), low, right, corners, 4 * x, taps, 16 * x)
-
-
-@inline
-def cubic_one(picture: np.ndarray, j: int, i: int, down: Taps, across: Taps, c: int) -> Real:
-    """One channel at a place after a pixel: likewise, anywhere in the picture."""
-    h, w = picture.shape[:2]
-    first, third, fourth = max(i - 1, 0), min(i + 1, w - 1), min(i + 2, w - 1)
-    value, low = ZERO, min(j + 1, h - 1)
-    for b in range(4):
-        row = min(max(j - 1 + b, 0), h - 1)
-        value += down[b] * (across[0] * picture[row, first, c] + across[1] * picture[row, i, c]
-                            + across[2] * picture[row, third, c] + across[3] * picture[row, fourth, c])
-    p, q, r, s = picture[j, i, c], picture[j, third, c], picture[low, i, c], picture[low, third, c]
-    return min(max(value, min(min(p, q), min(r, s))), max(max(p, q), max(r, s)))
-
-
-@inline
-def corner_of(y: Real, x: Real, h: int, w: int) -> tuple[int, int, Real, Real]:
-    """The pixel before a place, which is held in the picture, and how far after it the place lies, down and across."""
-    y, x = min(max(y, ZERO), np.float32(h - 1)), min(max(x, ZERO), np.float32(w - 1))
-    j, i = int(y), int(x)
-    return j, i, np.float32(y - j), np.float32(x - i)
 
 
 @inline
@@ -225,22 +137,29 @@ def place_row(columns: int, size: Real, places: np.ndarray, across: np.ndarray) 
 
 
 @uncounted
-def find_row(cells: np.ndarray, rows: int, columns: int, size: Real, y: int, places: np.ndarray, across: np.ndarray,
-             paths: np.ndarray) -> None:
-    """Paths (w, 8) of a row of pixels between four cells that are joined. The last number is 0 where they are not, and
-    the others are left. cells: flat. size: cells of a pixel. places, across: as `place_row` leaves them."""
-    top, low, down = between_cells(y, size, rows)
-    flat, row, six, seven, eight = paths.reshape(-1), np.uint64(8 * columns), np.uint64(6), np.uint64(7), np.uint64(8)
-    upper_row, lower_row, last = np.uint64(top) * row, np.uint64(low) * row, row - eight
+def widen_row(cells: np.ndarray, row: int, columns: int, places: np.ndarray, across: np.ndarray, wide: np.ndarray
+              ) -> None:
+    """A row of cells between which the pixels of a row lie (w, 8), flat; the last number is the larger share of detail
+    of both. cells: flat. places, across: as `place_row` leaves them."""
+    eight, six = np.uint64(8), np.uint64(6)
+    first, last = np.uint64(row * columns) * eight, np.uint64(columns - 1) * eight
+    for x in range(places.size):
+        p, q = first + places[x], first + min(places[x] + eight, last)
+        store_eight(wide, 8 * x, mix_eight(load_eight(cells, p), load_eight(cells, q), across[x]))
+        wide[8 * x + 7] = max(cells[p + six], cells[q + six])
+
+
+@uncounted
+def find_row(cells: np.ndarray, row: int, columns: int, down: Real, places: np.ndarray, upper: np.ndarray,
+             lower: np.ndarray, paths: np.ndarray) -> None:
+    """Paths (w, 8) of a row of pixels between two rows of cells, from `row` on, as `widen_row` leaves them. The last
+    number is 0 where four cells are not joined, and the others are left. cells: flat."""
+    first, seven, flat = np.uint64(8 * row * columns), np.uint64(7), paths.reshape(-1)
     for x in range(paths.shape[0]):
-        left, right, share = places[x], min(places[x] + eight, last), across[x]
-        p, q, r, s = upper_row + left, upper_row + right, lower_row + left, lower_row + right
-        joined = cells[p + seven]
+        joined = cells[first + places[x] + seven]
         if joined > 0:
-            upper = mix_eight(load_eight(cells, p), load_eight(cells, q), share)
-            lower = mix_eight(load_eight(cells, r), load_eight(cells, s), share)
-            store_eight(flat, 8 * x, mix_eight(upper, lower, down))
-            most = max(max(cells[p + six], cells[q + six]), max(cells[r + six], cells[s + six]))
+            store_eight(flat, 8 * x, mix_eight(load_eight(upper, 8 * x), load_eight(lower, 8 * x), down))
+            most = max(upper[8 * x + 7], lower[8 * x + 7])
             if most > CRISP:
                 paths[x, 6] = most
         paths[x, 7] = joined
@@ -256,18 +175,18 @@ def weigh_known_row(paths: np.ndarray, known_before: np.ndarray, known_after: np
 
 
 @uncounted
-def sample_row(before: np.ndarray, after: np.ndarray, h: int, paths: np.ndarray, corners: np.ndarray, taps: np.ndarray,
+def sample_row(before: np.ndarray, after: np.ndarray, h: int, paths: np.ndarray, pixels: np.ndarray, taps: np.ndarray,
                masked: bool, t: Real, shares: np.ndarray, dim: Real, row: np.ndarray) -> None:
     """Colours (w, 3) of a row of pixels where cells are joined and no edge is near, and weights (w, 2) of both frames,
-    unless something is masked; NaN elsewhere. before, after: flat. corners, taps: as `aim_row` leaves them."""
+    unless something is masked; NaN elsewhere. before, after: flat. pixels, taps: as `aim_row` leaves them."""
     w = row.shape[0]
     both, rest = shares_of(ONE, ONE, t)
     for x in range(w):
         row[x, 0] = np.nan
         if paths[x, 7] == 0:
             continue
-        i, j, n, m = corners[x, 0], corners[x, 1], corners[x, 2], corners[x, 3]
-        if not ((min(j, m) >= 1) & (max(j, m) < h - 2) & (min(i, n) >= 1) & (max(i, n) < w - 4)):
+        i, j, n, m = pixels[x, 0], pixels[x, 1], pixels[x, 2], pixels[x, 3]
+        if not has_taps(i, j, n, m, h, w):
             continue
         if masked:
             one, other = shares[x, 0], shares[x, 1]
@@ -280,136 +199,170 @@ def sample_row(before: np.ndarray, after: np.ndarray, h: int, paths: np.ndarray,
         row[x, 0], row[x, 1], row[x, 2] = one * a + other * p, one * b + other * q, one * c + other * r
 
 
-@uncounted
-def colour_beside(picture: np.ndarray, j: int, i: int, v: Real, u: Real, sharp: Real) -> Three:
-    """Three channels at a place after a pixel, near the edge of the picture."""
-    down, across = taps_at(v, sharp), taps_at(u, sharp)
-    return (cubic_one(picture, j, i, down, across, 0), cubic_one(picture, j, i, down, across, 1),
-            cubic_one(picture, j, i, down, across, 2))
-
-
-@inline
-def colour_at(picture: np.ndarray, flat: np.ndarray, y: Real, x: Real, sharp: Real) -> Three:
-    """Three channels at a place."""
-    h, w = picture.shape[:2]
-    j, i, v, u = corner_of(y, x, h, w)
-    if 1 <= j < h - 2 and 1 <= i < w - 4:
-        inner: Three = cubic_three(flat, ((j - 1) * w + i - 1) * 3, 3 * w, v, u, sharp)
-        return inner
-    beside: Three = colour_beside(picture, j, i, v, u, sharp)
-    return beside
-
-
 @inline
 def cell_of(flat: np.ndarray, at: int) -> Cell:
     """The path of a cell."""
     return flat[at], flat[at + 1], flat[at + 2], flat[at + 3], flat[at + 4], flat[at + 5], flat[at + 6]
 
 
-@uncounted
-def share_cells(flat: np.ndarray, p: int, q: int, r: int, s: int, across: Real, down: Real, mixture: np.ndarray
-                ) -> None:
-    """Shares (4,) of four cells in a pixel, by its place between them. Of cells that follow one path one has it all."""
-    mixture[0], mixture[1] = (ONE - down) * (ONE - across), (ONE - down) * across
-    mixture[2], mixture[3] = down * (ONE - across), down * across
-    for k in range(1, 4):
-        path = cell_of(flat, 8 * (q if k == 1 else r if k == 2 else s))
-        for j in range(k):
-            other = cell_of(flat, 8 * (p if j == 0 else q if j == 1 else r))
-            if mixture[j] > 0 and not differ(path, other) and path[4] == other[4] and path[5] == other[5]:
-                mixture[j], mixture[k] = mixture[j] + mixture[k], ZERO
-                break
+@in_lanes(4)
+def path_apart(v: Any, cells: Any, at: Any, other: Any) -> Any:
+    """The largest difference of two cells' paths."""
+    apart = (v.load(cells, at) - v.load(cells, other)).magnitude()
+    pair = apart.part(0, 2).largest(apart.part(2, 2))
+    return pair.part(0, 1).largest(pair.part(1, 1)).number(0)
 
 
 @inline
-def depth_along(near: np.ndarray, far: np.ndarray, path: Cell, y: int, x: int) -> tuple[Real, bool]:
-    """Depth of the surface that a path shows at a pixel, 0 where it leads to another one, and whether both frames show
-    it."""
-    h, w = near.shape[:2]
-    half = np.float32(0.5)
-    j, i, _, _ = corner_of(y + half + path[1], x + half + path[0], h, w)
-    m, n, _, _ = corner_of(y + half + path[3], x + half + path[2], h, w)
-    one, other = near[j, i, 0], far[m, n, 0]
-    if path[4] == 0 or path[5] == 0:
-        return other if path[4] == 0 else one, False
-    is_one = abs(one - other) <= NEARER * min(one, other)
-    return half * (one + other) * is_one, is_one
+def are_alike(cells: np.ndarray, at: int, other: int) -> bool:
+    """Whether two cells follow one path. cells: flat."""
+    return bool((cells[at + 4] == cells[other + 4]) & (cells[at + 5] == cells[other + 5])
+                and path_apart(cells, at, other) <= OTHER)
 
 
 @uncounted
-def hide_cells(flat: np.ndarray, near: np.ndarray, far: np.ndarray, p: int, q: int, r: int, s: int, y: int, x: int,
-               mixture: np.ndarray) -> None:
-    """Take its share (4,) of a pixel from a path whose surface lies behind one that both frames show there, by another
-    one of four cells."""
-    one, is_one = depth_along(near, far, cell_of(flat, 8 * p), y, x)
-    two, is_two = depth_along(near, far, cell_of(flat, 8 * q), y, x)
-    three, is_three = depth_along(near, far, cell_of(flat, 8 * r), y, x)
-    four, is_four = depth_along(near, far, cell_of(flat, 8 * s), y, x)
-    depths, shown = (one, two, three, four), (is_one, is_two, is_three, is_four)
-    nearest = np.float32(np.inf)
-    for k in range(4):
-        if mixture[k] > 0 and shown[k]:
-            nearest = min(nearest, depths[k])
-    for k in range(4):
-        if depths[k] > (ONE + NEARER) * nearest:
-            mixture[k] *= HIDDEN
-
-
-@uncounted
-def mix_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarray, known_before: np.ndarray,
-            known_after: np.ndarray, near: np.ndarray, far: np.ndarray, y: int, t: Real, paths: np.ndarray,
-            shares: np.ndarray, dim: Real, row: np.ndarray, mixture: np.ndarray) -> None:
-    """Colours (w, 3) of those pixels of a row that are NaN: by their path between joined cells, or by those of the four
-    cells around them, whose shares of the pixel (w, 4) are written to `mixture`."""
-    h, w = before.shape[:2]
-    flat, flat_before, flat_after = cells.reshape(-1), before.reshape(-1), after.reshape(-1)
-    flat_paths, rows, columns = paths.reshape(-1), cells.shape[0], cells.shape[1]
+def list_row(cells: np.ndarray, rows: int, wide: int, size: Real, y: int, places: np.ndarray, across: np.ndarray,
+             paths: np.ndarray, row: np.ndarray, mixture: np.ndarray, columns: np.ndarray, listed: np.ndarray) -> int:
+    """How many paths there are at those pixels of a row that are NaN: one between joined cells, or those of the four
+    cells around, whose shares of the pixel by its place between them are written to `mixture` (w, 4). Of cells that
+    follow one path one has it all. The paths (n, 8), flat, and their columns (n,) are listed. cells: flat."""
+    count, left, eight, last = 0, -1, np.uint64(8), np.uint64(8 * (wide - 1))
     top, low, down = between_cells(y, size, rows)
-    for x in range(w):
+    upper_row, lower_row = np.uint64(8 * top * wide), np.uint64(8 * low * wide)
+    flat = paths.reshape(-1)
+    p, q, r, s = upper_row, upper_row, lower_row, lower_row
+    q_is_p, r_is_p, r_is_q, s_is_p, s_is_q, s_is_r = False, False, False, False, False, False
+    for x in range(row.shape[0]):
         if row[x, 0] == row[x, 0]:
             continue
-        left, right, across = between_cells(x, size, columns)
-        joined = paths[x, 7] > 0
-        red, green, blue, whole, best = ZERO, ZERO, ZERO, ZERO, ZERO
-        if not joined:
-            share_cells(flat, top * columns + left, top * columns + right, low * columns + left, low * columns + right,
-                        across, down, mixture[x])
-            if near.size:
-                hide_cells(flat, near, far, top * columns + left, top * columns + right, low * columns + left,
-                           low * columns + right, y, x, mixture[x])
-        for k in range(1 if joined else 4):
-            share, path = ONE, cell_of(flat_paths, 8 * x)
-            if not joined:
-                share = mixture[x, k]
-                if share == 0:
-                    continue
-                path = cell_of(flat, 8 * ((low if k > 1 else top) * columns + (right if k % 2 else left)))
-            first, last = weights_of(path, known_before, known_after, y, x, t)
-            if joined:
-                shares[x, 0], shares[x, 1] = first, last
-            a, b, c = NOTHING
-            p, q, r = NOTHING
+        if paths[x, 7] > 0:
+            store_eight(listed, 8 * count, load_eight(flat, 8 * x))
+            columns[count] = x
+            count += 1
+            continue
+        if places[x] != left:
+            left = places[x]
+            beside = min(left + eight, last)
+            p, q, r, s = upper_row + left, upper_row + beside, lower_row + left, lower_row + beside
+            q_is_p, r_is_p, r_is_q = are_alike(cells, q, p), are_alike(cells, r, p), are_alike(cells, r, q)
+            s_is_p, s_is_q, s_is_r = are_alike(cells, s, p), are_alike(cells, s, q), are_alike(cells, s, r)
+        share = across[x]
+        a, b, c, d = ((ONE - down) * (ONE - share), (ONE - down) * share, down * (ONE - share), down * share)
+        if (a > 0) & q_is_p:
+            a, b = a + b, ZERO
+        if (a > 0) & r_is_p:
+            a, c = a + c, ZERO
+        elif (b > 0) & r_is_q:
+            b, c = b + c, ZERO
+        if (a > 0) & s_is_p:
+            a, d = a + d, ZERO
+        elif (b > 0) & s_is_q:
+            b, d = b + d, ZERO
+        elif (c > 0) & s_is_r:
+            c, d = c + d, ZERO
+        mixture[x, 0], mixture[x, 1], mixture[x, 2], mixture[x, 3] = a, b, c, d
+        for k in range(4):
+            if mixture[x, k] > 0:
+                store_eight(listed, 8 * count, load_eight(cells, p if k == 0 else q if k == 1 else r if k == 2 else s))
+                columns[count] = x
+                count += 1
+    return count
+
+
+@inline
+def depth_along(near: np.ndarray, far: np.ndarray, one: int, other: int, path: Cell) -> tuple[Real, Real]:
+    """Depth of the surface that a path shows, 0 where it leads to another one, and that depth again if both frames show
+    the surface, else infinity. one, other: the nearest pixels, in flat planes of depth."""
+    before, after = near[one], far[other]
+    if path[4] == 0 or path[5] == 0:
+        return after if path[4] == 0 else before, np.float32(np.inf)
+    is_one = abs(before - after) <= NEARER * min(before, after)
+    depth = np.float32(0.5) * (before + after) * is_one
+    return depth, depth if is_one else np.float32(np.inf)
+
+
+@uncounted
+def sample_listed(before: np.ndarray, after: np.ndarray, known_before: np.ndarray, known_after: np.ndarray,
+                  near: np.ndarray, far: np.ndarray, y: int, t: Real, count: int, columns: np.ndarray,
+                  listed: np.ndarray, pixels: np.ndarray, taps: np.ndarray, found: np.ndarray) -> None:
+    """What listed paths show (n, 10): colours of both frames, 0 of one without weight; weights of both; and depths of
+    `depth_along`. near, far: flat, or empty."""
+    h, w = before.shape[:2]
+    flat_before, flat_after = before.reshape(-1), after.reshape(-1)
+    for n in range(count):
+        x, path = int(columns[n]), cell_of(listed, 8 * n)
+        first, last = weights_of(path, known_before, known_after, y, x, t)
+        found[n, 6], found[n, 7] = first, last
+        a, b, c = NOTHING
+        p, q, r = NOTHING
+        i, j, k, m = pixels[n, 0], pixels[n, 1], pixels[n, 2], pixels[n, 3]
+        if (first > 0) & (last > 0) & has_taps(i, j, k, m, h, w):
+            a, b, c, p, q, r = cubic_pair(flat_before, ((j - 1) * w + i - 1) * 3, flat_after,
+                                          ((m - 1) * w + k - 1) * 3, 3 * w, taps, 16 * n)
+        else:
             if first > 0:
                 a, b, c = colour_at(before, flat_before, y + path[1], x + path[0], path[6])
             if last > 0:
                 p, q, r = colour_at(after, flat_after, y + path[3], x + path[2], path[6])
-            if not joined:
-                light = abs(a) + abs(b) + abs(c) + abs(p) + abs(q) + abs(r)
-                apart = UNSURE if first == 0 or last == 0 else (abs(a - p) + abs(b - q) + abs(c - r)) / (light + TINY)
-                share /= ALIKE + apart * apart
-                mixture[x, k] = share
-                if share > best:
-                    best, shares[x, 0], shares[x, 1] = share, first, last
-                    for z in range(7):
-                        paths[x, z] = path[z]
+        found[n, 0], found[n, 1], found[n, 2], found[n, 3], found[n, 4], found[n, 5] = a, b, c, p, q, r
+        if near.size:
+            found[n, 8], found[n, 9] = depth_along(near, far, pixels[n, 5] * w + pixels[n, 4],
+                                                   pixels[n, 7] * w + pixels[n, 6], path)
+
+
+@uncounted
+def mix_row(listed: np.ndarray, pixels_listed: np.ndarray, found: np.ndarray, has_depth: bool, dim: Real,
+            paths: np.ndarray, pixels: np.ndarray, shares: np.ndarray, mixture: np.ndarray, row: np.ndarray) -> None:
+    """Colours (w, 3) of those pixels of a row that are NaN, by what their listed paths show. Shares in `mixture` become
+    those of what is shown, and the path, its pixels and the weights of a pixel those that count most.
+
+    A path whose surface lies behind one that both frames show there by another path keeps a part of its share.
+    """
+    n, flat, flat_pixels = 0, paths.reshape(-1), pixels.reshape(-1)
+    for x in range(row.shape[0]):
+        if row[x, 0] == row[x, 0]:
+            continue
+        if paths[x, 7] > 0:
+            first, last = found[n, 6], found[n, 7]
+            shares[x, 0], shares[x, 1] = first, last
+            a, b, c, p, q, r = found[n, 0], found[n, 1], found[n, 2], found[n, 3], found[n, 4], found[n, 5]
+            first, last = settle(first, last, a + b + c, p + q + r, dim)
+            row[x, 0], row[x, 1], row[x, 2] = first * a + last * p, first * b + last * q, first * c + last * r
+            n += 1
+            continue
+        red, green, blue, whole, best, taken = ZERO, ZERO, ZERO, ZERO, ZERO, n
+        nearest, end = np.float32(np.inf), n
+        for k in range(4):
+            if mixture[x, k] > 0:
+                nearest = min(nearest, found[end, 9])
+                end += 1
+        behind = (ONE + NEARER) * nearest if has_depth else np.float32(np.inf)
+        for k in range(4):
+            share = mixture[x, k]
+            if share == 0:
+                continue
+            first, last = found[n, 6], found[n, 7]
+            a, b, c, p, q, r = found[n, 0], found[n, 1], found[n, 2], found[n, 3], found[n, 4], found[n, 5]
+            share = share * HIDDEN if has_depth and found[n, 8] > behind else share
+            light = abs(a) + abs(b) + abs(c) + abs(p) + abs(q) + abs(r)
+            apart = UNSURE if first == 0 or last == 0 else (abs(a - p) + abs(b - q) + abs(c - r)) / (light + TINY)
+            share /= ALIKE + apart * apart
+            mixture[x, k] = share
+            if share > best:
+                best, taken = share, n
             first, last = settle(first, last, a + b + c, p + q + r, dim)
             red, green, blue = (red + share * (first * a + last * p), green + share * (first * b + last * q),
                                 blue + share * (first * c + last * r))
             whole += share
+            n += 1
         row[x, 0], row[x, 1], row[x, 2] = red / whole, green / whole, blue / whole
-        if not joined:
-            for k in range(4):
-                mixture[x, k] /= whole
+        shares[x, 0], shares[x, 1] = found[taken, 6], found[taken, 7]
+        for z in range(7):
+            flat[8 * x + z] = listed[8 * taken + z]
+        for z in range(4, 8):
+            flat_pixels[8 * x + z] = pixels_listed[8 * taken + z]
+        for k in range(4):
+            mixture[x, k] /= whole
 
 
 @uncounted
@@ -449,17 +402,16 @@ def light_row(cells: np.ndarray, size: Real, before: np.ndarray, after: np.ndarr
 
 
 @uncounted
-def take_row(before: np.ndarray, after: np.ndarray, y: int, paths: np.ndarray, shares: np.ndarray, row: np.ndarray
+def take_row(before: np.ndarray, after: np.ndarray, wide: int, pixels: np.ndarray, shares: np.ndarray, row: np.ndarray
              ) -> None:
-    """Data (w, m) of a row of pixels: that of the nearest pixel in the frame that counts more."""
-    h, w = before.shape[:2]
-    half = np.float32(0.5)
-    for x in range(w):
+    """Data (w, m) of a row of pixels: that of the nearest pixel in the frame that counts more. before, after: flat."""
+    count, width = np.uint64(row.shape[1]), np.uint64(wide)
+    for x in range(row.shape[0]):
         is_first = shares[x, 0] >= shares[x, 1]
-        j, i, _, _ = corner_of(y + half + (paths[x, 1] if is_first else paths[x, 3]),
-                               x + half + (paths[x, 0] if is_first else paths[x, 2]), h, w)
-        for c in range(row.shape[1]):
-            row[x, c] = before[j, i, c] if is_first else after[j, i, c]
+        one = (np.uint64(pixels[x, 5]) * width + np.uint64(pixels[x, 4])) * count
+        other = (np.uint64(pixels[x, 7]) * width + np.uint64(pixels[x, 6])) * count
+        for c in range(count):
+            row[x, c] = before[one + c] if is_first else after[other + c]
 
 
 @compiled
@@ -479,21 +431,42 @@ def compose(y0: int, y1: int, cells: np.ndarray, scale: int, before: np.ndarray,
     flat_cells, flat_before, flat_after = cells.reshape(-1), before.reshape(-1), after.reshape(-1)
     paths, shares, mixture = np.zeros((w, 8), np.float32), np.empty((w, 2), np.float32), np.empty((w, 4), np.float32)
     places, across = np.empty(w, np.uint64), np.empty(w, np.float32)  # unsigned: without tests for those below 0
-    corners, taps = np.empty((w, 4), np.int32), np.empty(16 * w, np.float32)
-    place_row(cells.shape[1], size, places, across)
+    columns, pixels, taps = np.arange(w).astype(np.float32), np.empty((w, 8), np.int32), np.empty(16 * w, np.float32)
+    listed, found = np.empty(32 * w, np.float32), np.empty((4 * w, 10), np.float32)
+    columns_listed, pixels_listed, taps_listed = (np.empty(4 * w, np.float32), np.empty((4 * w, 8), np.int32),
+                                                  np.empty(64 * w, np.float32))
+    rows, wide = cells.shape[:2]
+    place_row(wide, size, places, across)
+    upper, lower, top_known, low_known = np.empty(8 * w, np.float32), np.empty(8 * w, np.float32), -1, -1
     for y in range(y0, y1):
-        find_row(flat_cells, cells.shape[0], cells.shape[1], size, y, places, across, paths)
+        top, low, down = between_cells(y, size, rows)
+        if top != top_known:
+            if top == low_known:
+                upper, lower, low_known = lower, upper, -1
+            else:
+                widen_row(flat_cells, top, wide, places, across, upper)
+            top_known = top
+        if low != low_known:
+            widen_row(flat_cells, low, wide, places, across, lower)
+            low_known = low
+        find_row(flat_cells, top, wide, down, places, upper, lower, paths)
         if masked:
             weigh_known_row(paths, known_before, known_after, y, time, shares)
-        aim_row(y, h, paths, corners.reshape(-1), taps)
-        sample_row(flat_before, flat_after, h, paths, corners, taps, masked, time, shares, dim, colour[y])
-        mix_row(cells, size, before, after, known_before, known_after, near, far, y, time, paths, shares, dim,
-                colour[y], mixture)
+        aim_row(y, h, w, columns, w, paths.reshape(-1), pixels.reshape(-1), taps)
+        sample_row(flat_before, flat_after, h, paths, pixels, taps, masked, time, shares, dim, colour[y])
+        count = list_row(flat_cells, rows, wide, size, y, places, across, paths, colour[y], mixture, columns_listed,
+                         listed)
+        if count:
+            aim_row(y, h, w, columns_listed, count, listed, pixels_listed.reshape(-1), taps_listed)
+            sample_listed(before, after, known_before, known_after, near.reshape(-1), far.reshape(-1), y, time, count,
+                          columns_listed, listed, pixels_listed, taps_listed, found)
+            mix_row(listed, pixels_listed.reshape(-1), found, near.size > 0, dim, paths, pixels, shares, mixture,
+                    colour[y])
         if light.shape[2]:
             light_row(cells, size, light_before, light_after, known_before, known_after, y, time, paths, shares,
                       mixture, light[y])
         if data.shape[2]:
-            take_row(data_before, data_after, y, paths, shares, data[y])
+            take_row(data_before.reshape(-1), data_after.reshape(-1), w, pixels, shares, data[y])
         if motion.size:
             for x in range(w):
                 motion[y, x, 0] = by_first * paths[x, 0] + by_last * paths[x, 2]

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from postfx.interpolate.paths import ALIKE, FAR, SURE
-from postfx.kernels.numeric import Real, compiled, inline, uncounted
+from postfx.kernels.numeric import Real, compiled, inline, load_eight, store_eight, uncounted
 from postfx.kernels.vectors import in_lanes
 
 Path: TypeAlias = tuple[Real, Real, Real, Real, Real, Real]
@@ -384,26 +384,27 @@ def choose_paths(y0: int, y1: int, before: np.ndarray, after: np.ndarray, known_
     around, size = 2 * steps, np.float32(scale)
     flowing = around + 2 if ahead.size else around
     count = flowing + 1 if mirrored.size else flowing
-    flat_own, flat_first, flat_last = own.reshape(-1), first.reshape(-1), last.reshape(-1)
+    flat_own, flat_first, flat_last, flat = own.reshape(-1), first.reshape(-1), last.reshape(-1), cells.reshape(-1)
     for y in range(y0, y1):
         for x in range(w):
+            alone, at = is_alone(own, y, x), 8 * (y * w + x)
             mine, v, u = path_of(own, y, x), scale * y + middle, scale * x + middle
-            if mine[4] + mine[5] == 2 and is_turning(own, y, x, size):  # no window that is moved alone can fit
-                for c in range(6):
-                    cells[y, x, c] = mine[c]
+            has_flow = ahead.size and (ahead[y, x, 0] == ahead[y, x, 0] or back[y, x, 0] == back[y, x, 0])
+            if (alone and not (has_flow or mirrored.size)) or (mine[4] + mine[5] == 2 and is_turning(own, y, x, size)):
+                store_eight(flat, at, load_eight(flat_own, at))  # around what turns, no window that is moved alone fits
                 continue
             taken, tried, is_seen, margin = mine, mine, False, ZERO
             depth = min(first_depth[y, x], last_depth[y, x])
             better = BETTER_STILL if is_still(mine) else BETTER
             best = np.float32(-2)  # not looked at yet: many cells have no other path around them
-            for k in range(around if is_alone(own, y, x) else 0, count):
+            for k in range(around if alone else 0, count):
                 if k < around:
                     step = k if k < steps else k - steps
                     j, i = y + STEPS[step, 0], x + STEPS[step, 1]
                     if not (0 <= j < h and 0 <= i < w):
                         continue
                     side = flat_first if k < steps else flat_last
-                    if not most_apart(side, 8 * (j * w + i), flat_own, 8 * (y * w + x), size) > OTHER:
+                    if not most_apart(side, 8 * (j * w + i), flat_own, at, size) > OTHER:
                         continue
                     path = side_path(first if k < steps else last, int(k >= steps), size, j, i)
                 elif k == flowing:

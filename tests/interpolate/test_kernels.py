@@ -10,6 +10,7 @@ from postfx.frame import Frame, Role
 from postfx.interpolate import blend, choose, flow, paths
 from postfx.kernels.image import catmull_rom
 from postfx.kernels.numeric import compiled
+from postfx.sampling import cubic_three
 
 
 def bilinear(picture: np.ndarray, y: float, x: float, rows: int, columns: int) -> np.ndarray:
@@ -65,7 +66,7 @@ def test_pictures_are_sampled_by_cubics_within_the_range_of_four_pixels(sharp):
 
     @compiled
     def run(flat, sharp):
-        return blend.cubic_three(flat, ((j - 1) * 14 + i - 1) * 3, 14 * 3, np.float32(v), np.float32(u), sharp)
+        return cubic_three(flat, ((j - 1) * 14 + i - 1) * 3, 14 * 3, np.float32(v), np.float32(u), sharp)
 
     def taps(t):
         spline = [(1 - t)**3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]
@@ -120,9 +121,56 @@ def test_a_cell_that_keeps_all_detail_keeps_it_up_to_the_middle_of_those_beside(
     cells[:, :2, 6], cells[:, 2:, 6] = 0.5, beside
     paths, places, across = np.empty((8, 8), np.float32), np.empty(8, np.uint64), np.empty(8, np.float32)
     blend.place_row(4, np.float32(0.5), places, across)
-    blend.find_row(cells.ravel(), 4, 4, np.float32(0.5), 4, places, across, paths)
+    upper, lower = np.empty((2, 64), np.float32)
+    for row, wide in ((1, upper), (2, lower)):
+        blend.widen_row(cells.ravel(), row, 4, places, across, wide)
+    blend.find_row(cells.ravel(), 1, 4, np.float32(0.75), places, upper, lower, paths)
     np.testing.assert_allclose(paths[:, 6], [0.5, 0.5, 0.5, between, (between if beside == 1 else 0.8), beside, beside,
                                              beside], rtol=1e-6)
+
+
+@pytest.mark.parametrize("alike", [(), (0, 1), (2, 3), (0, 3), (1, 2), (0, 1, 2, 3), (1, 3), (0, 2)])
+def test_of_cells_that_follow_one_path_one_has_all_of_a_pixel(alike):
+    """The pixel (1, 1) lies a quarter of the way from the first of four cells to the others."""
+    cells = np.zeros((2, 2, 8), np.float32)
+    cells[..., 4:6], cells[..., 0].flat = 1, [0, 5, 10, 15]
+    for k in alike:
+        cells[..., 0].flat[k] = 20
+    paths, row, mixture = np.zeros((4, 8), np.float32), np.zeros((4, 3), np.float32), np.zeros((4, 4), np.float32)
+    row[1, 0] = np.nan
+    places, across = np.empty(4, np.uint64), np.empty(4, np.float32)
+    columns, listed = np.empty(16, np.float32), np.empty(128, np.float32)
+    blend.place_row(2, np.float32(0.5), places, across)
+    count = blend.list_row(cells.ravel(), 2, 2, np.float32(0.5), 1, places, across, paths, row, mixture, columns,
+                           listed)
+    shares = np.array([0.5625, 0.1875, 0.1875, 0.0625])
+    wanted = shares.copy()
+    wanted[list(alike)] = 0
+    wanted[list(alike[:1])] = shares[list(alike)].sum()
+    np.testing.assert_allclose(mixture[1], wanted)
+    found = listed.reshape(-1, 8)[:count]
+    np.testing.assert_array_equal(found, cells.reshape(4, 8)[wanted > 0])
+    assert (columns[:count] == 1).all()
+
+
+def test_a_pixel_mixes_what_its_paths_show_by_how_well_both_frames_agree():
+    """Less of what lies behind another thing that both frames show; the path that weighs most is kept."""
+    found = np.array([[3, 3, 3, 2, 2, 2, 0.5, 0.5, 1, 1], [8, 8, 8, 0, 0, 0, 1, 0, 2, np.inf],
+                      [5, 5, 5, 5, 5, 5, 0.25, 0.75, 1.05, np.inf]], np.float32)
+    shares, hidden = np.array([0.5, 0.2, 0.3]), np.array([1, blend.HIDDEN, 1])
+    apart = np.array([3 / 15, blend.UNSURE, 0])
+    weights = shares * hidden / (blend.ALIKE + apart**2)
+    wanted = weights @ [2.5, 8, 5] / weights.sum()
+    listed, pixels_listed = np.arange(24, dtype=np.float32), np.arange(24, dtype=np.int32)
+    paths, pixels = np.zeros((1, 8), np.float32), np.zeros((1, 8), np.int32)
+    of_frames, mixture = np.zeros((1, 2), np.float32), np.zeros((1, 4), np.float32)
+    row = np.full((1, 3), np.nan, np.float32)
+    mixture[0, [0, 1, 3]] = shares
+    blend.mix_row(listed, pixels_listed, found, True, np.float32(1), paths, pixels, of_frames, mixture, row)
+    np.testing.assert_allclose(row[0], wanted, rtol=1e-5)
+    np.testing.assert_allclose(mixture[0, [0, 1, 3]], weights / weights.sum(), rtol=1e-5)
+    assert of_frames[0].tolist() == [0.25, 0.75] and paths[0, :7].tolist() == list(range(16, 23))
+    assert pixels[0, 4:].tolist() == [20, 21, 22, 23]
 
 
 def test_depth_is_that_of_the_pixels_cell():
