@@ -73,8 +73,8 @@ class LRUCache(Generic[Key, Value]):
 
 
 class SpareMemory:
-    """Memory of arrays that are gone, for new ones. Pages that are new from the system cost an interpolated frame 5 to 10
-    % of its time."""
+    """Memory of arrays that are gone, for new ones. Pages that are new from the system cost five to ten percent of an
+    interpolated frame's time."""
 
     def __init__(self) -> None:
         self._free: list[tuple[int, np.ndarray]] = []
