@@ -342,7 +342,7 @@ class Job:
             return
         from postfx.doctor.inspection import look_once  # loads the doctor, which other verbs' starts need not wait for
 
-        self._first_look = look_once(frame, self._channels)
+        self._first_look = look_once(frame, self._channels, not self.pipeline.device.memory.host_visible)
         for text in self._first_look:
             progress.note(f"warning  {text}")
 

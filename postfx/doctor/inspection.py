@@ -117,15 +117,17 @@ FIRST_LOOK: tuple[Check, ...] = (
 """Checks that take no more than one frame and a few milliseconds, for those who run before they inspect."""
 
 
-def look_once(frame: Frame, channels: Mapping[Role, str]) -> list[str]:
+def look_once(frame: Frame, channels: Mapping[Role, str], on_gpu: bool = False) -> list[str]:
     """What is plainly wrong with the planes of a frame, a line each: errors and warnings of `FIRST_LOOK`.
 
-    channels: role -> the plane's names in the file.
+    Args:
+        channels: role -> the plane's names in the file.
+        on_gpu: whether it is denoised there, where light outside the gamut is cut.
     """
     found = [finding for check in FIRST_LOOK for finding in check(Material([frame]))]
     return [f"plane {one.role} ({channels.get(Role(one.role), 'no name')}), frame {frame.number}: {one.evidence}; "
             f"likely: {one.cause}; fix: {one.fix}" for one in most_important_first(found)
-            if one.level is not Level.INFO]
+            if one.level is not Level.INFO or (on_gpu and one.code == plane_checks.OUTSIDE_GAMUT)]
 
 
 def examine(material: Material) -> list[Finding]:

@@ -16,6 +16,7 @@ from postfx.doctor.geometry import is_hit
 from postfx.doctor.material import Material
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
+from postfx.kernels.statistics import OUTSIDE, light_outside
 from postfx.sampling import local_mean
 
 _MAY_BE = {role: re.compile(words, re.IGNORECASE) for role, words in {
@@ -89,6 +90,7 @@ LEAST_SIDE, LEAST_ROWS, EXACT = 32, 12, 0.08
 FLIP_FITS, FLIP_LEAST = 1.5, 0.13
 OTHER_FITS, OTHER_LEAST, SHARED, MOST_OFF, LEAST_FRAMES = 1.15, 0.03, 0.12, 0.6, 3
 IN_UNIT_RANGE = (Role.ALPHA, Role.STRENGTH, Role.REACTIVE)
+OUTSIDE_GAMUT = "light-outside"
 
 
 def check_finite_values(material: Material) -> Iterator[Finding]:
@@ -243,21 +245,15 @@ def check_negative_values(material: Material) -> Iterator[Finding]:
         yield level(role, "negative", evidence, cause, "render with a positive pixel filter, and linear Rec.709")
 
 
-OUTSIDE = 1.0  # percent of the light
-
-
 def check_light_outside(material: Material) -> Iterator[Finding]:
     """So much negative light that a pixel filter is not the reason, but colours that the primaries cannot hold."""
-    if Role.COLOUR not in material.first:
-        return
-    light = finite(material.first[Role.COLOUR])
-    share = 100 * float(np.maximum(-light, 0).sum(dtype=np.float64) / max(np.abs(light).sum(dtype=np.float64), 1e-12))
+    share = light_outside(material.first[Role.COLOUR]) if Role.COLOUR in material.first else 0.0
     if share > OUTSIDE:
-        evidence = (f"{share:.2g} % of the light is below 0, which counts as 0 in each noisy pixel: colours come out "
-                    "paler and brighter")
-        yield warning(Role.COLOUR, "light-outside", evidence, "saturated lights in primaries that cannot hold them",
-                      "render in ACEScg; of files in ACEScg write EXR first, and pictures of that by --no-denoise "
-                      "(docs/howto/display.md)")
+        evidence = (f"{100 * share:.2g} % of the light is outside the gamut, below 0: a CPU denoises it in wider "
+                    "primaries; on a GPU it counts as 0 in each noisy pixel, and colours come out paler and brighter")
+        yield info(Role.COLOUR, OUTSIDE_GAMUT, evidence, "saturated lights in primaries that cannot hold them",
+                   "for a GPU, render in ACEScg; of files in ACEScg write EXR first, and pictures of that by "
+                   "--no-denoise (docs/howto/display.md)")
 
 
 def check_unit_range(material: Material) -> Iterator[Finding]:

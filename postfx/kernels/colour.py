@@ -19,6 +19,9 @@ Bindings (float32): colour (height, width, 3); params (12,): 3x3 matrix row-majo
 light of evenly spaced code values 0..1; encode (4098,): code values over the eighth root of light 0..1; output (height,
 width, 3) code values 0..1. NaN becomes 0. Both tables repeat their last value; `postfx.passes.display` makes them. The
 torch definition is `training.kernels.tonemap.EncodeDisplay`.
+
+`convert_primaries` is a matrix alone: colour (height, width, 3); matrix (9,) row-major; output (height, width, 3), of
+any sign. The torch definition is `training.kernels.tonemap.ConvertPrimaries`.
 """
 
 from __future__ import annotations
@@ -230,4 +233,27 @@ ENCODE_DISPLAY = Kernel(
         "encode": (STEPS + 2,),
         "output": ("height", "width", 3),
     },
+)
+
+
+@compiled
+def convert_primaries_rows(y0: int, y1: int, colour: np.ndarray, matrix: np.ndarray, output: np.ndarray) -> None:
+    """Output rows y0..y1-1."""
+    m, (_, width, _) = matrix, colour.shape
+    for y in range(y0, y1):
+        row, target = colour[y].reshape(3 * width), output[y].reshape(3 * width)
+        for x in range(width):
+            r, g, b = row[3 * x], row[3 * x + 1], row[3 * x + 2]
+            target[3 * x] = m[0] * r + m[1] * g + m[2] * b
+            target[3 * x + 1] = m[3] * r + m[4] * g + m[5] * b
+            target[3 * x + 2] = m[6] * r + m[7] * g + m[8] * b
+
+
+CONVERT_PRIMARIES = Kernel(
+    name="convert_primaries",
+    reads=("colour", "matrix"),
+    writes=("output",),
+    rows=convert_primaries_rows,
+    row_axis=("output", 0),
+    shapes={"colour": ("height", "width", 3), "matrix": (9,), "output": ("height", "width", 3)},
 )

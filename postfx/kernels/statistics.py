@@ -1,6 +1,6 @@
 """What the host looks at in a frame's planes before it is uploaded: whether all numbers are finite, the light of blocks
-of pixels, on which exposure is metered, a coarse grid's cells, by which cuts are found, where alpha differs, and
-whether depth is noise.
+of pixels, on which exposure is metered, a coarse grid's cells, by which cuts are found, where alpha differs, whether
+depth is noise, and how much light lies outside the gamut.
 
 Loops over rows become vector instructions. Sums keep their order, so that a multiplier does not depend on them, nor on
 the threads that a pipeline lends for the largest of these.
@@ -14,6 +14,7 @@ from contextvars import ContextVar
 
 import numpy as np
 
+from postfx.colour import WIDER
 from postfx.kernels.native import bind_rows
 from postfx.kernels.numeric import Real, add, compiled, inline, summed, vectorised
 
@@ -321,6 +322,31 @@ def coverage_noise(depth: np.ndarray, farthest: Real) -> Real:
                       + is_hit(row[x - 1], farthest) + is_hit(row[x + 1], farthest))
             noisy += around <= 1 if is_hit(row[x], farthest) else around >= 3
     return noisy / max((h - 1) // 2 * (w - 2), 1)
+
+
+LOOKED_AT = 128
+"""Pixels along a side that are looked at for light outside the gamut, up to twice as many."""
+OUTSIDE = 0.005
+"""From this share of light outside the gamut on, it is worth denoising in wider primaries. Pixel filters with negative
+lobes leave up to 0.004."""
+
+
+def light_outside(colour: np.ndarray) -> float:
+    """Share of the light of a picture (h, w, 3) that is negative and that wider primaries turn positive.
+
+    Pixels count by their brightness up to that of the usual pixel, brighter ones no more, so that a few fireflies
+    decide nothing. Grey light below 0, as pixel filters leave it beside bright edges, does not count.
+    """
+    down, right = (max(1, side // LOOKED_AT) for side in colour.shape[:2])
+    pixels = colour[::down, ::right].reshape(-1, 3)
+    if not (pixels < 0).any():
+        return 0.0
+    pixels = pixels[np.isfinite(pixels).all(1)].astype(np.float64)
+    brightest = np.abs(pixels).max(1, initial=0.0)
+    lit = brightest > 0
+    seen = pixels[lit] / (np.exp(np.log(brightest[lit]).mean()) + brightest[lit])[:, None] if lit.any() else pixels
+    gained = np.minimum(seen @ WIDER.T, 0).sum() - np.minimum(seen, 0).sum()
+    return float(gained / max(np.abs(seen).sum(), 1e-12))
 
 
 @summed

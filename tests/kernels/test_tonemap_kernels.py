@@ -7,7 +7,7 @@ import onnxruntime
 import pytest
 
 from postfx.kernels import Kernel
-from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY
+from postfx.kernels.colour import APPLY_CUBE, CONVERT_PRIMARIES, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.system import models_dir
@@ -29,6 +29,7 @@ DEFINITIONS = {
     EXPOSE: tonemap_kernels.Expose,
     ENCODE_DISPLAY: tonemap_kernels.EncodeDisplay,
     APPLY_CUBE: tonemap_kernels.ApplyCube,
+    CONVERT_PRIMARIES: tonemap_kernels.ConvertPrimaries,
     CHECKERBOARD: tonemap_kernels.Checkerboard,
 }
 CASES = [

@@ -10,7 +10,7 @@ import numpy as np
 from postfx.colour import REC709, REC2020, matrix_between
 from postfx.colour.displays import parse_display
 from postfx.kernels import Kernel
-from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY
+from postfx.kernels.colour import APPLY_CUBE, CONVERT_PRIMARIES, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD, turns
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, GRID, KNOTS, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.passes.display import decoding, encoding, parameters
@@ -128,4 +128,6 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
     }
     if kernel is EXPOSE:
         values |= {"previous": np.array([1.9, *SHAPER]), "current": np.array([[-0.7]])}
+    if kernel is CONVERT_PRIMARIES:
+        values["colour"] = random.normal(0, 1, (height, width, 3))
     return {name: np.ascontiguousarray(values[name], np.float32) for name in kernel.reads}

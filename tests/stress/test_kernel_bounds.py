@@ -41,7 +41,7 @@ BOUNDS = {
     "denoise_detail": ROUNDED, "denoise_restore": ROUNDED, "denoise_strength": ROUNDED, "denoise_keep": ROUNDED,
     "denoise_open": ROUNDED, "denoise_open_fine": ROUNDED, "denoise_open_phased": ROUNDED, "overlay_over": ROUNDED,
     "overlay_over_alpha": ROUNDED, "smooth": ROUNDED, "light": ROUNDED, "follow": ROUNDED, "expose": ROUNDED,
-    "apply_cube": 5e-7, "lowres": 5e-7, "denoise_trust": 1e-6, "denoise_accumulate": 1e-6,
+    "apply_cube": 5e-7, "convert_primaries": 5e-7, "lowres": 5e-7, "denoise_trust": 1e-6, "denoise_accumulate": 1e-6,
     "encode_display": 5e-7, "denoise_pool": 1e-6, "denoise_filter": 5e-7, "denoise_resize": 5e-7,
     "denoise_reactive": 5e-7, "denoise_history": 2e-6, "denoise_features": 5e-6, "denoise_upsample": 2e-6,
     "denoise_upsample_guided": 2e-6, "denoise_upsample_unscaled": 2e-6, "denoise_means": 5e-7,

@@ -53,6 +53,13 @@ class ApplyCube(nn.Module):
         return look_up(shape(to_image(colour), params, matrix), cube)[0].permute(1, 2, 0)
 
 
+class ConvertPrimaries(nn.Module):
+    """colour (H,W,3), matrix (9,) -> output (H,W,3)."""
+
+    def forward(self, colour: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
+        return colour @ matrix.view(3, 3).T
+
+
 class Lowres(nn.Module):
     """colour (H,W,3), params (3,), matrix (9,) -> lowres (1,3,256,256)."""
 

@@ -13,13 +13,14 @@ from typing import Any
 import onnx
 import torch
 
-from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY
+from postfx.kernels.colour import APPLY_CUBE, CONVERT_PRIMARIES, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, SMOOTH
 from training.export import OPSET, export, export_kernel, parity, parser, read_quality, write_card
 from training.kernels.tonemap import (
     ApplyCube,
     Checkerboard,
+    ConvertPrimaries,
     EncodeDisplay,
     Expose,
     Follow,
@@ -61,6 +62,7 @@ def export_kernels(folder: Path) -> None:
     export_kernel(SMOOTH, Smooth(), {}, folder)
     export_kernel(EXPOSE, Expose(), {}, folder)
     export_kernel(ENCODE_DISPLAY, EncodeDisplay(), {"height": 9, "width": 16}, folder)
+    export_kernel(CONVERT_PRIMARIES, ConvertPrimaries(), {"height": 9, "width": 16}, folder)
     export_kernel(APPLY_CUBE, ApplyCube(), {"height": 9, "width": 16, "size": 5}, folder)
     export_kernel(CHECKERBOARD, Checkerboard(), {"height": 9, "width": 16}, folder)
 

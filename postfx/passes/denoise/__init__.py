@@ -18,7 +18,7 @@ from postfx.errors import DeviceError, FrameError, PassOptionError
 from postfx.frame import GUIDE_ROLES, FrameSpec, Part, Role
 from postfx.kernels.denoise import GAIN
 from postfx.passes import MOST_SIZES, Pass, Reflection, ResidentFrame
-from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain
+from postfx.passes.denoise.frame import ReadyNetwork, ReadyPlain, widen_history
 from postfx.passes.denoise.history import Cameras, History, PartHistory, can_follow
 from postfx.passes.denoise.models import (
     CLASSIC,
@@ -45,6 +45,8 @@ PART_FILTERS = "picture", "own"
 """Values of the option `part_filters`: whose filters parts get."""
 NETWORK = "network "
 """In a history, the name of the network's entry ends in the network's tag."""
+WIDER = "wider primaries"
+"""In a history, whether its light is in wider primaries than the frames'."""
 
 
 class DenoiseUpscale(Pass):
@@ -76,6 +78,9 @@ class DenoiseUpscale(Pass):
             'plane', the plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto',
             the first of the two that the frame has; 'none'. scale= and threshold= may follow, as in
             'auto,scale=4,threshold=0.05'.
+
+    Where a shot has light outside the gamut, which is negative in the frames' primaries, it is denoised in wider ones
+    and converted back. On a GPU negative light counts as 0.
 
     A transparency overlay is only resampled; the pass `overlay` composites. The plane `later` is handed on
     to the pass `both_ways`.
@@ -223,20 +228,21 @@ class DenoiseUpscale(Pass):
         return self._used if self.budget else None
 
     def reset(self) -> None:
-        self._fresh = False
+        self._fresh = self._wider = False
         self._exposure = 1.0
         self._cameras.reset()
 
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._fresh):
             return {}
-        known = {"exposure": np.array(self._exposure, np.float64), f"{NETWORK}{self._used}": np.array(1, np.int64)}
+        known = {"exposure": np.array(self._exposure, np.float64), f"{NETWORK}{self._used}": np.array(1, np.int64),
+                 WIDER: np.array(self._wider, np.int64)}
         return known | self._cameras.snapshot() | self._history.snapshot() | self._part_history.snapshot()
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)
         if self._fresh:
-            self._exposure = float(history["exposure"])
+            self._exposure, self._wider = float(history["exposure"]), bool(history.get(WIDER, False))
             if not isinstance(self._ready, ReadyNetwork):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
             self._used = next(iter(key.removeprefix(NETWORK) for key in history if key.startswith(NETWORK)), "")
@@ -275,6 +281,7 @@ class DenoiseUpscale(Pass):
         band = None if cells is None else ready.frames.layout(cells)
         keep = self._fresh and not frame.reset and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
+        self._widen(commands, frame, ready, keep)
         params = np.array([frame.exposure, *frame.jitter, gain], np.float32)
         self._used = self._tags[self._ladder.rung if self._ladder else 0]
         ready.frames.use(ready.models[self._used])
@@ -303,7 +310,16 @@ class DenoiseUpscale(Pass):
             colour = ready.strength.encode(commands, frame, colour, rows, savings.note_unblended)
         if filtered:
             filtered.finish(commands, frame, denoised, colour, ready.restore, ready.strength, rows)
-        return colour
+        return ready.wider.narrow(commands, frame, colour) if self._wider else colour
+
+    def _widen(self, commands: CommandBuffer, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> None:
+        """Go on in wider primaries to the end of the shot where a frame's light needs them, the history too."""
+        if not self._wider and ready.wider.help(frame):
+            if keep:
+                self.recall(widen_history(self.history(), self._parts))
+            self._wider = True
+        if self._wider:
+            ready.wider.widen(commands, frame)
 
     def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray | None:
         """Where the frame's strength is not 0, as squares of 4 pixels; None if that is unknown, or if the whole frame

@@ -1,23 +1,29 @@
-"""Runs the denoised upscaler over a frame, as a whole or in windows that are then assembled."""
+"""Runs the denoised upscaler over a frame, as a whole or in windows that are then assembled, and in wider primaries
+where the frame's own do not hold its light.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, MutableMapping, Sequence
 from copy import copy
 from functools import partial
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from postfx.caching import LRUCache
+from postfx.colour import WIDER
 from postfx.frame import FrameSpec, Part, Role
+from postfx.kernels.colour import CONVERT_PRIMARIES
 from postfx.kernels.denoise import HIDDEN
 from postfx.kernels.denoise.history import SPREAD_MASK
 from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.kernels.denoise.prepare import SCALE
+from postfx.kernels.statistics import OUTSIDE, light_outside
+from postfx.passes import ResidentFrame
 from postfx.passes.denoise.graph import ClassicGraph, Layer, LayerGraph
-from postfx.passes.denoise.history import History, PartHistory, Reflections, can_follow
+from postfx.passes.denoise.history import WHOLE, History, PartHistory, Reflections, can_follow
 from postfx.passes.denoise.models import CLASSIC, grid_of
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.parts import Layers
@@ -325,6 +331,75 @@ class Frames:
             ClassicGraph(self._device, window, self._reactive) if len(networks) < len(self._models) else None)
 
 
+COLOURS = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+"""Light, and what is compared with it or multiplied by it."""
+
+CODED, UNCODED = "next_history", ("next_state", "history", "last_part")
+"""In a history, light by its logarithm, log(1 + light), and light as it is, in the first three channels."""
+
+
+class WiderPrimaries:
+    """Colours of a frame in wider primaries, where all light is positive: each noisy pixel's negative light would
+    count as 0, and the mean would rise."""
+
+    def __init__(self, device: Device, parts: Sequence[Part]) -> None:
+        self._device = device
+        self._lights = [part.name for part in parts if part.is_light]
+        self._matrices: dict[bool, Tensor] = {}
+        self._made: dict[str, Tensor] = {}
+
+    def help(self, frame: ResidentFrame) -> bool:
+        """Whether so much of a frame's light lies outside its gamut. Not looked for on a GPU."""
+        colour = frame.host_planes.get(Role.COLOUR) if self._device.memory.host_visible else None
+        return colour is not None and light_outside(colour) > OUTSIDE
+
+    def widen(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        """Record the conversion of a frame's planes, guides and parts, which are replaced."""
+        self._convert_all(commands, "plane", frame.tensors, COLOURS, True)
+        self._convert_all(commands, "guide", frame.guides, COLOURS, True)
+        self._convert_all(commands, "part", frame.parts, self._lights, True)
+
+    def narrow(self, commands: CommandBuffer, frame: ResidentFrame, colour: Tensor) -> Tensor:
+        """Record the conversion back of the frame's parts, which are replaced, and of a colour, which is returned."""
+        self._convert_all(commands, "part", frame.parts, self._lights, False)
+        return self._convert(commands, "picture", colour, False)
+
+    def _convert_all(self, commands: CommandBuffer, kind: str, held: MutableMapping[Any, Tensor], names: Iterable[str],
+                     wider: bool) -> None:
+        for name in names:
+            if name in held and held[name].shape[2] == 3:  # a light of one channel is grey
+                held[name] = self._convert(commands, f"{kind} {name}", held[name], wider)
+
+    def _convert(self, commands: CommandBuffer, name: str, colour: Tensor, wider: bool) -> Tensor:
+        name = f"{name} in {'wider' if wider else 'its'} primaries"
+        if wider not in self._matrices:
+            self._matrices[wider] = self._device.heap.tensor("primaries", (9,))
+            self._matrices[wider].upload((WIDER if wider else np.linalg.inv(WIDER)).ravel())
+        if name not in self._made:
+            self._made[name] = self._device.heap.transient(name, colour.shape)
+        table = ArgumentTable(self._device.compute_state(CONVERT_PRIMARIES), {
+            "colour": colour, "matrix": self._matrices[wider], "output": self._made[name]})
+        with commands.compute_encoder("primaries") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            encoder.dispatch(table.state, table)
+        return self._made[name]
+
+
+def widen_history(history: Mapping[str, np.ndarray], parts: Sequence[Part]) -> dict[str, np.ndarray]:
+    """A history of the pass in wider primaries.
+
+    The last output is exact. What is accumulated was divided by reflectance, and is converted as if that were grey.
+    """
+    lights, found = {"", WHOLE, *(part.name for part in parts if part.is_light)}, dict(history)
+    for key, array in history.items():
+        kind, _, name = key.removeprefix("part ").partition(" of ")
+        if kind in (CODED, *UNCODED) and name in lights:
+            light = np.expm1(array[..., :3]) if kind == CODED else array[..., :3]
+            wider = np.maximum(light @ WIDER.T.astype(np.float32), 0)
+            found[key] = np.concatenate([np.log1p(wider) if kind == CODED else wider, array[..., 3:]], -1)
+    return found
+
+
 class Ready:
     """Pipeline states, tensors and argument tables for frames of one spec.
 
@@ -363,6 +438,7 @@ class ReadyNetwork(Ready):
         strength: None where all of the picture is fully denoised.
         layers: parts of the picture, and alpha; None without both.
         own: runs the models on parts that have filters of their own, by name.
+        wider: for light that the frame's primaries do not hold.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str], history: History,
@@ -382,3 +458,4 @@ class ReadyNetwork(Ready):
         self.strength = None if full else Strength(device, spec, output, strength)
         self.layers = Layers(device, spec, output, parts, alpha, part_history) if parts or alpha else None
         self.own = {name: self.frames.beside(own) for name, own in part_history.own.items()}
+        self.wider = WiderPrimaries(device, parts)
