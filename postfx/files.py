@@ -17,9 +17,11 @@ import shutil
 import socket
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import cache
 from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -244,6 +246,31 @@ def read_ahead(items: Iterable[Item], read: Callable[[Item], Content]) -> Iterat
                 yield ready[0], ready[1].result()
         if coming is not None:
             yield coming[0], coming[1].result()
+
+
+@cache
+def file_threads(count: int) -> ThreadPoolExecutor:
+    """Threads that unpack and pack files. They stay, as starting them costs time."""
+    return ThreadPoolExecutor(count, "postfx zip")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=file_threads.cache_clear)  # a forked process has none of them
+
+
+def run_in_order(threads: ThreadPoolExecutor, tasks: Iterable[Callable[[], Result]], most: int) -> Iterator[Result]:
+    """What tasks give, in their order; at most so many are begun before their turn."""
+    begun: deque[Future[Result]] = deque()
+    try:
+        for task in tasks:
+            begun.append(threads.submit(task))
+            if len(begun) > most:
+                yield begun.popleft().result()
+        while begun:
+            yield begun.popleft().result()
+    finally:
+        for left in begun:
+            left.cancel()
 
 
 class WriteBehind:

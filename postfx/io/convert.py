@@ -94,6 +94,9 @@ def _affine(plane: np.ndarray, rule: PlaneRule) -> np.ndarray:
 
 
 def _depth(stored: np.ndarray, rule: PlaneRule, camera: Camera, first: int, height: int) -> np.ndarray:
+    as_stored = rule.kind == "planar" and rule.miss is None and not any(rule.offset) and set(rule.scale) == {1}
+    if as_stored and stored.min(initial=1) > 0 and stored.max(initial=0) < DEPTH_MISS:  # surfaces everywhere
+        return stored
     missed = ~np.isfinite(stored)
     if rule.miss is not None:
         missed |= stored == np.float32(rule.miss)
@@ -161,6 +164,10 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     """
     height, width = motion.shape[:2]
     depth = depth.reshape(height, width)
+    beyond = np.flatnonzero(depth >= DEPTH_MISS)
+    unmoved = beyond[(motion.reshape(-1, 2)[beyond] == 0).all(axis=1)]
+    if unmoved.size < max(_DIRECT * beyond.size, 1):
+        return False
     step = max(1, round(math.sqrt(depth.size / _POINTS)))
     thin = depth[::step, ::step]
     places = step * np.argwhere((thin > 0) & (thin < DEPTH_MISS))
@@ -168,12 +175,8 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     moved = motion[rows, columns].astype(np.float64)
     if rows.size < _LEAST_POINTS or np.abs(moved).max() < _STILL:
         return False
-    beyond = depth >= DEPTH_MISS
-    if not beyond.any():
-        return False
-    missed = beyond & (motion[..., 0] == 0) & (motion[..., 1] == 0)
-    if missed.sum() < max(_DIRECT * beyond.sum(), 1):
-        return False
+    missed = np.zeros(depth.shape, bool)
+    missed.reshape(-1)[unmoved] = True
     now = centre_positions(rows, columns, height, width)
     near = np.median(depth[rows, columns]) / depth[rows, columns].astype(np.float64)
     found, covariance, error, share = fit_camera(now, now[:, :2] + moved / width, near, 1 / width)

@@ -252,7 +252,7 @@ def _write_exr(
             parts = merge_views(pictures, keep is not None, stack)
         else:
             header, rows = _header_and_rows(spec, convert, relax)
-            parts = merge_source(header, rows, keep, stack) if keep else [picture_part(header, rows)]
+            parts = merge_source(header, rows, keep, stack) if keep else [picture_part(header, rows, apart=True)]
         return write_container(path, parts)
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,10 +15,12 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.errors import MissingPlaneError, ReadError
+from postfx.files import file_threads, run_in_order
 from postfx.frame import ROLES, ColourSource, Frame, FrameSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
 from postfx.io.colours import INTEROP, gather_attributes
 from postfx.io.convert import SEEN, Camera, DepthOption, convert, fill_background_motion, fill_value
+from postfx.io.exr.container import rows_of_task
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import (
     GuideLayout,
@@ -80,8 +83,7 @@ def _middle(first: int, last: int) -> float:
 
 
 _ROWS = 64, 256
-"""Rows that are read at once, with few threads and with many: so few that they are still in the cache when they are
-sorted into planes, and a chunk of ZIP for every thread."""
+"""Rows that OpenImageIO reads at once, with few threads and with many: they stay in the cache, and each has a chunk."""
 
 
 def read_planes(
@@ -93,47 +95,72 @@ def read_planes(
     new = scratch.empty if scratch else partial(np.empty, dtype=np.float32)
     planes = {role: new((match.size[1], match.size[0], ROLES[role].channels)) for role, match in matches.items()}
     for size in {match.size for match in matches.values()}:
-        alike = {role: match for role, match in matches.items() if match.size == size}
-        channels = {channel: fill_value(match.rule) for match in alike.values() for channel in match.channels}
-        # A piece takes memory as it is read, with channels between the wanted ones, and again as it is converted.
-        row_bytes = 8 * sum(planes[role].nbytes for role in alike) // size[1]
-        for first, last in scratch.pieces(size[1], row_bytes) if scratch else _pieces(size[1], channels):
-            pieces = {role: planes[role][first:last] for role in alike}
-            if not _read_straight(alike, pieces, (first, last)):
-                pixels = read_channels(channels, (first, last))
-                for role, match in alike.items():
-                    np.stack([pixels[channel] for channel in match.channels], axis=-1, out=pieces[role])
-            for role, match in alike.items():
-                found = convert(pieces[role], match.rule, camera, first, size[1])
-                if found is not pieces[role]:
-                    pieces[role][:] = found
+        _Rows({role: match for role, match in matches.items() if match.size == size}, planes, camera).read(scratch)
     return planes
 
 
-def _read_straight(matches: Mapping[Role, Match], pieces: Mapping[Role, np.ndarray], rows: tuple[int, int]) -> bool:
-    """Read rows into pieces of planes as they are unpacked; whether all are stored so that it can be done."""
-    if not all(are_together(match.channels) for match in matches.values()):
-        return False
-    of_parts: dict[tuple[ImageFile, int], tuple[Part, list[tuple[list[str], np.ndarray]]]] = {}
-    for role, match in matches.items():
-        first = match.channels[0]
-        _, planes = of_parts.setdefault((first.file, first.part.index), (first.part, []))
-        planes.append(([channel.name for channel in match.channels], pieces[role]))
-    return all(file.read_planes(part, planes, rows) for (file, _), (part, planes) in of_parts.items())
+class _Rows:
+    """Reads rows of planes of one size."""
+
+    def __init__(self, matches: Mapping[Role, Match], planes: Mapping[Role, np.ndarray], camera: Camera) -> None:
+        self._matches, self._planes, self._camera = matches, {role: planes[role] for role in matches}, camera
+        self._height = len(self._planes[next(iter(matches))])
+        self._channels = {channel: fill_value(match.rule) for match in matches.values() for channel in match.channels}
+        self._chunk = max(channel.part.chunk for channel in self._channels)
+        parts: dict[tuple[ImageFile, int], tuple[Part, dict[Role, list[str]]]] = {}
+        for role, match in matches.items():
+            first = match.channels[0]
+            names = parts.setdefault((first.file, first.part.index), (first.part, {}))[1]
+            names[role] = [channel.name for channel in match.channels]
+        self._parts = [(file, part, names) for (file, _), (part, names) in parts.items()]
+
+    def read(self, scratch: Scratch | None) -> None:
+        """Read all rows: by several threads, if the files are stored so that it can be done."""
+        count = oiio.get_int_attribute("threads")
+        straight = all(are_together(match.channels) for match in self._matches.values()) and all(
+            file.reads_planes(part, chain.from_iterable(names.values())) for file, part, names in self._parts)
+        if scratch:
+            held = 8 * sum(plane.nbytes for plane in self._planes.values())  # twice, with channels that nobody wants
+            for rows in scratch.pieces(self._height, held // self._height):
+                if not (straight and self._read_straight(rows)):
+                    self._read_any(rows)
+            return
+        step = rows_of_task(count) if straight else min(max(_ROWS[0], 16 * count), _ROWS[1])
+        step = -(-step // self._chunk) * self._chunk
+        pieces = [(first, min(self._height, first + step)) for first in range(0, self._height, step)]
+        tasks = [partial(self._read_straight, rows) for rows in pieces]
+        done = run_in_order(file_threads(count), tasks, 2 * count) if straight else repeat(False)
+        for rows, is_done in zip(pieces, done, strict=False):
+            if not is_done:
+                self._read_any(rows)
+
+    def _read_any(self, rows: tuple[int, int]) -> None:
+        pixels, pieces = read_channels(self._channels, rows), {}
+        for role, match in self._matches.items():
+            stored = [pixels[channel] for channel in match.channels]
+            pieces[role] = np.stack(stored, axis=-1, out=self._planes[role][slice(*rows)])
+        self._convert(pieces, rows[0])
+
+    def _read_straight(self, rows: tuple[int, int]) -> bool:
+        """Read rows into planes as they are unpacked; False where a file is broken."""
+        pieces = {role: plane[slice(*rows)] for role, plane in self._planes.items()}
+        done = all(file.read_planes(part, [(own, pieces[role]) for role, own in names.items()], rows)
+                   for file, part, names in self._parts)
+        if done:
+            self._convert(pieces, rows[0])
+        return done
+
+    def _convert(self, pieces: Mapping[Role, np.ndarray], first: int) -> None:
+        for role, piece in pieces.items():
+            found = convert(piece, self._matches[role].rule, self._camera, first, self._height)
+            if found is not piece:
+                piece[:] = found
 
 
 def _check(match: Match) -> None:
     areas = [channel.part.area for channel in match.channels]
     if len({(area.width, area.height) for area in areas}) > 1:
         raise ReadError(f"{match.channels[0].file.path}: channels {match.names} differ in size; write them as one part")
-
-
-def _pieces(height: int, channels: Iterable[Channel]) -> Iterator[tuple[int, int]]:
-    """Rows of planes, whole chunks of files at once."""
-    chunk = max(channel.part.chunk for channel in channels)
-    rows = min(max(_ROWS[0], 16 * oiio.get_int_attribute("threads")), _ROWS[1])
-    rows = -(-rows // chunk) * chunk
-    return ((first, min(height, first + rows)) for first in range(0, height, rows))
 
 
 _SHOWN = 12  # layers in a message

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ import OpenImageIO as oiio
 
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
-from postfx.io.exr.container import MAX_SIDE, ExrContainer, NamedPlanes, ZipReader
+from postfx.io.exr.container import MAX_SIDE, ExrContainer, NamedPlanes, PlainReader
 from postfx.io.windows import Part, Window, assign_windows, part_of, some_rows, to_area
 
 READABLE = (".exr", ".hdr")
@@ -74,7 +74,7 @@ class ImageFile:
         claims = None if checked else check_claims(self.path)
         self._container = claims if isinstance(claims, ExrContainer) else None
         self._radiance = claims if isinstance(claims, RadianceHeader) else None
-        self._zipped: dict[int, ZipReader] = {}
+        self._readers: dict[int, PlainReader] = {}
         self._upright: np.ndarray | None = None  # pixels of a Radiance file that does not store them as they are
         opened = oiio.ImageInput.open(str(self.path))
         if opened is None:
@@ -105,7 +105,7 @@ class ImageFile:
         """
         part = part if rows is None else some_rows(part, *rows)
         planes = {name: np.empty((part.data.height, part.data.width), np.float32) for name in channels}
-        if not self._read_zip(part, [([name], plane[..., None]) for name, plane in planes.items()]):
+        if not self._read_plain(part, [([name], plane[..., None]) for name, plane in planes.items()]):
             indices = [part.channels.index(name) for name in channels]
             first, last = min(indices), max(indices)
             if rows is None and self._is_as_stored():
@@ -140,21 +140,30 @@ class ImageFile:
             found |= {part.channels[begin + column]: pixels[:, :, column] for column in range(end - begin)}
         return [found[name] for name in names]
 
-    def read_planes(self, part: Part, planes: NamedPlanes, rows: tuple[int, int]) -> bool:
-        """Read some rows of a part's area into planes (rows, width, channels) float32 of the named channels; False
-        where they are not stored as ZIP, or not all of them, and the planes are not filled."""
-        part = some_rows(part, *rows)
-        return part.data == part.area and self._read_zip(part, planes)
+    def reads_planes(self, part: Part, names: Iterable[str]) -> bool:
+        """Whether `read_planes` reads these channels of a part: all are stored as they are or by ZIP."""
+        reader = self._reader(part) if part.data == part.area else None
+        return reader is not None and all(name in reader.channels for name in names)
 
-    def _read_zip(self, part: Part, planes: NamedPlanes) -> bool:
-        """The same for a part's data window. False for a broken file, too, about which OpenImageIO says more."""
-        if self._container is None or part.data.height <= 0:
+    def read_planes(self, part: Part, planes: NamedPlanes, rows: tuple[int, int]) -> bool:
+        """Read some rows of a part's area into planes (rows, width, channels) float32 of the named channels, which it
+        reads; False for a broken file, about which OpenImageIO says more. Several threads may read at once."""
+        reader = self._reader(part)
+        return reader is not None and reader.read(planes, *rows)
+
+    def _read_plain(self, part: Part, planes: NamedPlanes) -> bool:
+        """The same for a part's data window and any channels, by threads of its own."""
+        reader = self._reader(part) if part.data.height > 0 else None
+        if reader is None or not all(name in reader.channels for names, _ in planes for name in names):
             return False
-        if part.index not in self._zipped:
-            self._zipped[part.index] = ZipReader(self._container, part.index)
-        reader, top = self._zipped[part.index], self._container.headers[part.index].data.y0
-        known = all(name in reader.channels for names, _ in planes for name in names)
-        return known and reader.read(planes, part.data.y0 - top, part.data.y1 + 1 - top)
+        return reader.read_by_threads(planes, part.data.y0 - reader.top, part.data.y1 + 1 - reader.top)
+
+    def _reader(self, part: Part) -> PlainReader | None:
+        if self._container is None:
+            return None
+        if part.index not in self._readers:
+            self._readers[part.index] = PlainReader(self._container, part.index)
+        return self._readers[part.index]
 
     def _require_pixels(self, pixels: np.ndarray | None) -> np.ndarray:
         if pixels is None:

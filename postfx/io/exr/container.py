@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import os
 import struct
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -20,7 +20,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.errors import ReadError
-from postfx.files import memory_file
+from postfx.files import file_threads, memory_file, run_in_order
 from postfx.io.exr import (
     DEEP,
     DEEP_SCANLINES,
@@ -161,6 +161,7 @@ class ExrContainer:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file: BinaryIO = path.open("rb")
+        self._lock = threading.Lock()  # of the place in the file
         try:
             self.size = os.fstat(self._file.fileno()).st_size
             self.version, self.headers = read_headers(self._file)
@@ -201,6 +202,23 @@ class ExrContainer:
         if len(stored) < chunk.head + chunk.size:
             raise self._broken_error("it ends early")
         return stored
+
+    def read_chunks(self, part: int, first: int, last: int) -> list[memoryview]:
+        """Chunks of a part of scanlines in places of the table, the last not included; for any thread."""
+        with self._lock:
+            offsets = [int(offset) + 4 * self.several for offset in self._offsets[part][first:last]]
+            if offsets != sorted(offsets):  # as where lines are written from the bottom
+                return [memoryview(self.read(self.chunk(part, place))) for place in range(first, last)]
+            final = self.chunk(part, last - 1)
+            block = memoryview(self.read(Chunk(offsets[0], 0, final.at + final.head + final.size - offsets[0])))
+        found = []
+        for offset in offsets:
+            at = offset - offsets[0]
+            (size,) = struct.unpack_from("<i", block, at + 4)
+            if size < 0 or at + 8 + size > len(block):
+                raise self._broken_error("it ends early")
+            found.append(block[at : at + 8 + size])
+        return found
 
     def copy_chunks(self, part: int) -> Iterator[tuple[int, bytes]]:
         """Place in the table and bytes of all chunks of a part, in the order of the file."""
@@ -288,7 +306,7 @@ def write_container(path: Path, parts: list[NewPart]) -> int:
         if several:
             part.header.set_text("type", part.header.part_type)
             part.header.set("chunkCount", "int", struct.pack("<i", part.count))
-    with path.open("wb") as file:
+    with path.open("wb", 1 << 20) as file:  # chunks may be single lines
         file.write(struct.pack("<iI", MAGIC, VERSION | _flags([part.header for part in parts])))
         file.write(b"".join(part.header.pack() for part in parts) + b"\0" * several)
         table = file.tell()
@@ -324,89 +342,100 @@ NamedPlanes = Sequence[tuple[Sequence[str], np.ndarray]]
 """Names of channels, and the planes (rows, width, channels) float32 that they are read into."""
 
 
-class ZipReader:
-    """Reads pixels of a part whose scanlines are compressed by ZIP, in half of OpenImageIO's time.
+class PlainReader:
+    """Reads pixels of a part whose scanlines are as they are or compressed by ZIP, in half of OpenImageIO's time.
 
-    `channels` are those that it reads: of half floats and floats; none where the part is stored in another way.
+    `channels` are those that it reads: of half floats and floats; none where the part is stored in another way. `top`
+    is the number of the data window's first row.
     """
 
     def __init__(self, file: ExrContainer, part: int) -> None:
         self._file, self._part, header = file, part, file.headers[part]
-        self._data, self._lines, self._words = header.data, LINES.get(header.compression, 1), 0
+        self._height, self.top, width = header.data.height, header.data.y0, header.data.width
+        self._lines, self._words = LINES.get(header.compression, 1), 0
         self.channels: dict[str, tuple[int, int]] = {}  # kind, and place of the first word of two bytes in a line
-        is_zip = header.part_type == SCANLINES and header.compression in (ZIPS, ZIP)
-        channels = header.channels if is_zip else []
+        is_plain = header.part_type == SCANLINES and header.compression in PLAIN
+        channels = header.channels if is_plain else []
         if all((channel.x_sampling, channel.y_sampling) == (1, 1) for channel in channels):
             for channel in channels:
                 self.channels |= {channel.name: (channel.kind, self._words)} if channel.kind in (HALF, FLOAT) else {}
-                self._words += self._data.width * PIXEL_BYTES[channel.kind] // 2
+                self._words += width * PIXEL_BYTES[channel.kind] // 2
 
     def read(self, planes: NamedPlanes, first: int, last: int) -> bool:
         """Read the data window's rows from `first` to `last`, not included, both counted from its top. False where the
-        file is broken."""
-        places = range(first // self._lines, -(-last // self._lines))
-        if not 0 <= first < last <= self._data.height or places.stop > self._file.counts[self._part]:
+        file is broken. Several threads may read at once."""
+        begin, end = first // self._lines, -(-last // self._lines)
+        if not 0 <= first < last <= self._height or end > self._file.counts[self._part]:
             return False
         targets = [(np.array([self.channels[name] for name in names]), plane.view(np.uint32))
                    for names, plane in planes]
-        stored = [self._file.read(self._file.chunk(self._part, place)) for place in places]
-        unpacked = _zip_threads(oiio.get_int_attribute("threads")).map(
-            partial(self._unpack, targets, first), places, stored)
-        return all(unpacked)
+        stored, step = self._file.read_chunks(self._part, begin, end), max(1, ZIP_LINES // self._lines)
+        return all(self._unpack(targets, first, (begin + place) * self._lines, stored[place : place + step])
+                   for place in range(0, len(stored), step))
 
-    def _unpack(self, targets: list[tuple[np.ndarray, np.ndarray]], first: int, place: int, stored: bytes) -> bool:
-        """Put a chunk's rows into planes whose rows begin with `first`; False where the chunk is broken."""
+    def read_by_threads(self, planes: NamedPlanes, first: int, last: int) -> bool:
+        """The same by as many threads as OpenImageIO has, of which the caller is none."""
+        count = oiio.get_int_attribute("threads")
+        step = rows_of_task(count)
+        tasks = [partial(self.read, [(names, plane[row - first : row - first + step]) for names, plane in planes],
+                         row, min(last, row + step)) for row in range(first, last, step)]
+        return all(run_in_order(file_threads(count), tasks, 2 * count))
+
+    def _unpack(self, targets: list[tuple[np.ndarray, np.ndarray]], first: int, top: int, stored: list[memoryview]
+                ) -> bool:
+        """Put chunks, whose rows begin with `top`, into planes whose rows begin with `first`; False where one is
+        broken."""
         from postfx.kernels.pixel_formats import decompress_rows, widen_rows  # headers must not wait
 
-        top = place * self._lines
-        rows = min(self._lines, self._data.height - top)
-        words = decompress_rows(stored[8:], rows * self._words)
-        if words is None or struct.unpack_from("<i", stored)[0] != self._data.y0 + top:
-            return False
-        wanted = words.reshape(rows, self._words)[max(first - top, 0):]
+        words = np.empty((min(len(stored) * self._lines, self._height - top), self._words), np.uint16)
+        for i, chunk in enumerate(stored):
+            row = i * self._lines
+            found = decompress_rows(chunk[8:], words[row : row + self._lines].reshape(-1))
+            if not found or struct.unpack_from("<i", chunk)[0] != self.top + top + row:
+                return False
+        wanted = words[max(first - top, 0):]
         for channels, bits in targets:
             target = bits[max(top - first, 0):][:len(wanted)]
             widen_rows(wanted[:len(target)], channels, target)
         return True
 
 
-@cache
-def _zip_threads(count: int) -> ThreadPoolExecutor:
-    """Threads that unpack and compress chunks. They stay: a frame is read in nine pieces, and starting them costs."""
-    return ThreadPoolExecutor(count, "postfx zip")
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_zip_threads.cache_clear)  # a forked process has none of them
-
-
 COMPRESSIONS = {0: "none", 1: "rle", 2: "zips", 3: "zip", 4: "piz", 5: "pxr24", 6: "b44", 7: "b44a", 8: "dwaa",
                 9: "dwab"}
 """OpenEXR's numbers of compressions."""
-ZIPS, ZIP = 2, 3
+NONE, ZIPS, ZIP = 0, 2, 3
+PLAIN = NONE, ZIPS, ZIP
+"""Those that are read and written here."""
 HALF, FLOAT = 1, 2
 """Kinds of channels."""
-_KINDS = (oiio.UINT, oiio.HALF, oiio.FLOAT)
 ZIP_LINES = 16
-"""Rows of a chunk."""
-_PIECE = 4 << 20  # bytes that are read and compressed at once
+"""Rows of a chunk of ZIP."""
+_KINDS = (oiio.UINT, oiio.HALF, oiio.FLOAT)
+_PIECE = 4 << 20  # bytes that are read and packed at once
+
+
+def rows_of_task(threads: int) -> int:
+    """Rows that a thread packs or unpacks at once: whole chunks, in its cache, and with many threads some for each."""
+    return 4 * ZIP_LINES if threads <= 4 else ZIP_LINES
+
+
 Rows = Callable[[int, int], Sequence[np.ndarray]]
 """First row and last row, not included, both counted from the top of the data window -> all channels of these rows in
 the order of the header: arrays (rows, width) of little-endian uint32, float16 or float32."""
 
 
-def picture_part(header: Header, read: Rows) -> NewPart:
-    """A part with this header whose chunks are compressed while the file is written, as its header says.
+def picture_part(header: Header, read: Rows, apart: bool = False) -> NewPart:
+    """A part with this header whose chunks are packed while the file is written, as its header says.
 
-    ZIP, by far the fastest, runs on as many threads as OpenImageIO reads and writes with, which does all others: there
-    the channels must be of one type.
+    ZIP, by far the fastest compression, ZIPS and none are packed by as many threads as OpenImageIO reads and writes
+    with, which does all others: there the channels must be of one type. `apart`: these threads may call `read`, too.
     """
-    make_chunks = _zip_chunks if header.compression == ZIP else _library_chunks
-    return NewPart(header, count_chunks(header), make_chunks(header, read))
+    chunks = _plain_chunks(header, read, apart) if header.compression in PLAIN else _library_chunks(header, read)
+    return NewPart(header, count_chunks(header), chunks)
 
 
 def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
-    """The same from a file that OpenImageIO makes in memory."""
+    """Place in the table and bytes of each chunk, from a file that OpenImageIO makes in memory."""
     data, kind = header.data, _KINDS[header.channels[0].kind]
     spec = oiio.ImageSpec(data.width, data.height, len(header.channels), kind)
     spec.x, spec.y = data.x0, data.y0
@@ -429,27 +458,37 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
             yield from made.copy_chunks(0)
 
 
-def _zip_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
-    """Place in the table and bytes of each chunk, from the top."""
+def _plain_chunks(header: Header, read: Rows, apart: bool) -> Iterator[tuple[int, bytes]]:
+    """The same from the top, packed here."""
     data, line_bytes = header.data, header.data.width * sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
-    step = max(1, _PIECE // (line_bytes * ZIP_LINES)) * ZIP_LINES
-    threads = _zip_threads(oiio.get_int_attribute("threads"))
-    for first in range(0, data.height, step):
-        last = min(data.height, first + step)
-        compress = partial(_compress, read(first, last), line_bytes, data.y0 + first)
-        tops = range(0, last - first, ZIP_LINES)
-        for top, stored in zip(tops, threads.map(compress, tops), strict=True):
-            yield (first + top) // ZIP_LINES, stored
+    count, lines = oiio.get_int_attribute("threads"), LINES[header.compression]
+    rows = rows_of_task(count)
+    step = rows if apart else max(1, _PIECE // (line_bytes * rows)) * rows
+
+    def tasks() -> Iterator[Callable[[], list[bytes]]]:
+        for first in range(0, data.height, step):
+            last = min(data.height, first + step)
+            channels = [] if apart else read(first, last)
+            for top in range(first, last, rows):
+                some = slice(top - first, top - first + rows)
+                get = partial(read, first, last) if apart else partial(list, [channel[some] for channel in channels])
+                yield partial(_pack, get, line_bytes, lines, data.y0 + top, header.compression)
+
+    packed = (chunk for chunks in run_in_order(file_threads(count), tasks(), 2 * count) for chunk in chunks)
+    yield from enumerate(packed)
 
 
-def _compress(channels: Sequence[np.ndarray], line_bytes: int, y0: int, top: int) -> bytes:
-    """A chunk of channels (rows, width) from row `top` on; the number of row 0 is `y0`."""
+def _pack(get: Callable[[], Sequence[np.ndarray]], line_bytes: int, lines: int, top: int, compression: int
+          ) -> list[bytes]:
+    """Chunks of the channels (rows, width) that `get` gives; the number of their first row is `top`."""
     from postfx.kernels.pixel_formats import compress_rows  # loads Numba, which reading must not wait for
 
-    rows, at = [channel[top : top + ZIP_LINES] for channel in channels], 0
-    lines = np.empty((len(rows[0]), line_bytes), np.uint8)
-    for channel in rows:
+    channels, at = get(), 0
+    stored = np.empty((len(channels[0]), line_bytes), np.uint8)
+    for channel in channels:
         end = at + channel.shape[1] * channel.itemsize
-        lines[:, at:end].view(channel.dtype)[:] = channel
+        stored[:, at:end].view(channel.dtype)[:] = channel
         at = end
-    return compress_rows(lines, y0 + top)
+    chunks = [stored[first : first + lines] for first in range(0, len(stored), lines)]
+    packed = [compress_rows(chunk) if compression != NONE else chunk.tobytes() for chunk in chunks]
+    return [struct.pack("<2i", top + place * lines, len(chunk)) + chunk for place, chunk in enumerate(packed)]

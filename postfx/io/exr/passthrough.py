@@ -176,7 +176,7 @@ def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> lis
     Raises ReadError when the source is broken, OSError when it was removed.
     """
     if frame.source is None or Path(frame.source).suffix.lower() != ".exr":
-        return [picture_part(own, rows)]
+        return [picture_part(own, rows, apart=True)]
     source = stack.enter_context(ExrContainer(Path(frame.source)))
     return Merge(own, rows, source, frame, stack).parts()
 
@@ -200,7 +200,8 @@ class Merge:
             parts = [self._merge_part(part, header) if part == index else self.as_stored(part, header)
                      for part in range(len(headers))]
         else:
-            parts = [picture_part(header, self._rows), *(self.as_stored(part, header) for part in range(len(headers)))]
+            parts = [picture_part(header, self._rows, apart=True),
+                     *(self.as_stored(part, header) for part in range(len(headers)))]
         return _with_names(parts)
 
     def _is_in_place(self) -> bool:
@@ -254,14 +255,14 @@ class Merge:
                 joined = picture_part(picture, _join(picture, self._own, self._rows, names, rows))
             else:
                 parts.append(picture_part(resize_header(self.header_of(part.index, picture), larger, kept), rows))
-        return [joined if joined.count else picture_part(picture, self._rows), *parts]
+        return [joined if joined.count else picture_part(picture, self._rows, apart=True), *parts]
 
     def _merge_part(self, part: int, header: Header) -> NewPart:
         """The part that held the render's colour, with the picture in its place."""
         fresh = [channel.name for channel in self._own.channels]
         rest = [channel for channel in self._source.headers[part].channels if channel.name not in fresh]
         if not rest:
-            return picture_part(header, self._rows)
+            return picture_part(header, self._rows, apart=True)
         header.set("channels", "chlist", pack_channels(self._own.channels + rest))
         self.check_zip(header)
         source = self._stack.enter_context(ImageFile(self._source.path, checked=True))
