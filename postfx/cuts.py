@@ -155,7 +155,7 @@ def _picture(frame: Frame) -> Picture | None:
     if Role.MOTION in frame:
         motion = frame[Role.MOTION][block // 2 :: block, block // 2 :: block][:rows, :columns].astype(float) / block
     cell = block / colour.shape[0], block / colour.shape[1]
-    return Picture(_band(np.moveaxis(light, 0, 2)), guides, motion, cell)
+    return Picture(_band(light.transpose(1, 2, 0)), guides, motion, cell)
 
 
 def _cells(plane: np.ndarray, block: int) -> np.ndarray:
@@ -169,8 +169,8 @@ def _cells(plane: np.ndarray, block: int) -> np.ndarray:
 def _log_depth(depth: np.ndarray) -> np.ndarray:
     """log2 of depth; cells with misses lie one doubling behind the farthest one without."""
     hit = depth < DEPTH_MISS / 8
-    farthest = depth[hit].max(initial=1e-6)
-    doublings: np.ndarray = np.log2(np.clip(np.where(hit, depth, 2 * farthest), 1e-6, 2 * farthest))
+    farthest = depth.max(initial=1e-6, where=hit)
+    doublings: np.ndarray = np.log2(np.maximum(np.where(hit, depth, 2 * farthest), 1e-6))
     return doublings
 
 

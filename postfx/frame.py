@@ -6,12 +6,14 @@ import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from postfx.colour.displays import KINDS, parse_display
 from postfx.errors import ColourError, FrameError, GuideError, suggest
+from postfx.system import host_floats
 
 LOG = logging.getLogger("postfx")
 """What the library has to tell on the way; it is silent unless a program sets up logging."""
@@ -205,7 +207,7 @@ class FrameSpec:
     @property
     def roles(self) -> tuple[Role, ...]:
         """Roles of the planes, in the order of `Role`."""
-        return tuple(role for role, _ in self.planes)
+        return tuple([role for role, _ in self.planes])
 
     @property
     def guide_roles(self) -> tuple[Role, ...]:
@@ -227,6 +229,13 @@ class FrameSpec:
             if held == role:
                 return channels
         raise FrameError(f"the frame has no plane '{role}': it has {', '.join(self.roles)}")
+
+
+@lru_cache(16)
+def _spec_of(shapes: tuple[tuple[Role, tuple[int, ...]], ...], encoding: str, guides: tuple[Any, ...] | None,
+             source: str | None, parts: tuple[tuple[str, int], ...]) -> FrameSpec:
+    (height, width, _), sharp = shapes[0][1], GuideSpec(*guides) if guides else None
+    return FrameSpec(width, height, {role: shape[2] for role, shape in shapes}, encoding, sharp, source, parts)
 
 
 def _complete_encoding(encoding: str) -> str:
@@ -360,11 +369,16 @@ class Frame:
     @property
     def spec(self) -> FrameSpec:
         """Size, planes and encoding of this frame."""
-        height, width = next(iter(self.planes.values())).shape[:2]
-        channels = {role: plane.shape[2] for role, plane in self.planes.items()}
-        guides = GuideSpec(*self.guide_size, tuple(self.guides), self.guide_source) if self.guide_size else None
-        parts = {name: part.shape[2] for name, part in self.parts.items()}
-        return FrameSpec(width, height, channels, self.encoding, guides, self.source, parts)
+        shapes = tuple([(role, plane.shape) for role, plane in self.planes.items()])
+        guides = (*self.guide_size, tuple(self.guides), self.guide_source) if self.guide_size else None
+        parts = tuple([(name, part.shape[2]) for name, part in self.parts.items()])
+        return _spec_of(shapes, self.encoding, guides, self.source, parts)
+
+    def copy_with(self, **fields: Any) -> Self:
+        """A copy with other values of some fields, which fit together and are not checked."""
+        copied = object.__new__(type(self))
+        copied.__dict__.update(self.__dict__, **fields)
+        return copied
 
     def __getitem__(self, role: Role | str) -> np.ndarray:
         """Plane of a role, (height, width, channels); FrameError when the frame does not hold it."""
@@ -408,7 +422,7 @@ class Frame:
                 for name, plane in planes]
 
     def _check_all(self, planes: dict[Role, np.ndarray], kind: str, source: str | None) -> dict[Role, np.ndarray]:
-        named = {self._role(role, kind): plane for role, plane in planes.items()}
+        named = {role if type(role) is Role else self._role(role, kind): plane for role, plane in planes.items()}
         if len(named) < len(planes):
             raise FrameError(f"{kind}s of frame {self._name(source)} name a role twice: {', '.join(planes)}")
         checked = {role: self._check(role, plane, kind) for role, plane in named.items()}
@@ -428,8 +442,11 @@ class Frame:
         if kind == "guide" and role not in OUTPUT_SIZE_ROLES:
             raise GuideError(f"plane '{role}' of frame {self._name()} cannot be a guide: use "
                              f"{', '.join(OUTPUT_SIZE_ROLES)}")
-        plane = host_floats(plane, f"{kind} '{role}' of frame {self._name()}")
         channels = ROLES[role].channels
+        if type(plane) is np.ndarray and plane.dtype == _FLOATS and plane.ndim == 3 and plane.flags.c_contiguous \
+                and plane.shape[2] == channels and plane.size:
+            return plane  # as nearly all are
+        plane = host_floats(plane, f"{kind} '{role}' of frame {self._name()}")
         if plane.ndim == 2 and channels == 1:
             plane = plane[:, :, None]
         if plane.ndim != 3 or plane.shape[2] != channels or 0 in plane.shape:
@@ -451,30 +468,11 @@ class Frame:
         return f"{self.number} ({source})" if source else str(self.number)
 
 
+_FLOATS = np.dtype(np.float32)
 _ORIGIN = ("part_sources", "source", "guide_source", "colour_source")
 """Fields of a frame that tell where it was read from."""
 
 _COLUMNS = ("plane", "size", "type", "range")
-
-def host_floats(given: Any, what: str) -> np.ndarray:
-    """An array of floats of any library that has `__dlpack__`, as NumPy's; not copied where that can be.
-
-    Raises FrameError, which begins with `what`, for other types and for arrays in the memory of a device.
-    """
-    array = given
-    if not isinstance(given, np.ndarray) and hasattr(given, "__dlpack__"):
-        try:
-            if given.__dlpack_device__()[0] not in (1, 3):  # the host's memory, plain or pinned by CUDA
-                raise BufferError("it lies in the memory of a device, for Pipeline.on_device")
-            array = np.asarray(np.from_dlpack(given))
-        except (BufferError, RuntimeError, TypeError, ValueError) as error:
-            reason = str(error).partition("\n")[0].rstrip(".")
-            raise FrameError(f"{what} cannot be read from {type(given).__name__} ({reason}): give an array of float32 "
-                             "in the host's memory, as by tensor.detach().cpu().float()") from error
-    if not isinstance(array, np.ndarray) or not np.issubdtype(array.dtype, np.floating):
-        found = getattr(array, "dtype", type(array).__name__)
-        raise FrameError(f"{what} is {found}: give a NumPy array of floats, or one of a library with DLPack")
-    return array
 
 
 def _is_same(one: Any, other: Any) -> bool:

@@ -120,7 +120,7 @@ class Pipeline:
         frame, self.bad_pixels = repair_nonfinite(frame, plan.planes, self.device.scratch)
         self.cut = self._is_cut(frame)
         if self.cut:
-            frame = dataclasses.replace(frame, reset=True)
+            frame = frame.copy_with(reset=True)
             LOG.info("frame %d begins another shot: the history is dropped", frame.number)
         if frame.reset:
             self._reset_passes()
@@ -132,9 +132,9 @@ class Pipeline:
             LOG.warning("frame %d: %d pixels of plane '%s' were no finite numbers and were repaired",
                         frame.number, pixels, role)
         LOG.debug("frame %d: milliseconds by pass: %s", frame.number, self.timings)
-        views = {name: self._process_view(name, dataclasses.replace(view, reset=view.reset or self.cut))
+        views = {name: self._process_view(name, view.copy_with(reset=view.reset or self.cut))
                  for name, view in frame.views.items()}
-        return dataclasses.replace(result, views=views)
+        return result.copy_with(views=views)
 
     def _process_view(self, name: str, frame: Frame) -> Frame:
         result = (own := self._of_view(name))(frame)
@@ -421,7 +421,7 @@ class Flow:
             self._run(steps, resident)
 
     def _upload(self, frame: Frame, plan: Plan, exposure: float, unusable: bool) -> ResidentFrame:
-        inputs = {role: self._input(role, frame[role]) for role in plan.planes}
+        inputs = {role: self._input(role, frame.planes[role]) for role in plan.planes}
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
         parts = {name: self._input(f"part {name}", frame.parts[name]) for name in plan.parts}
         return ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure, unusable)
@@ -484,16 +484,15 @@ def _finish(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role
     """The frame that comes out: new planes copied from the device, the others as they came in."""
     same_size = (plan.output.width, plan.output.height) == (plan.available.width, plan.available.height)
     unread = [role for role in plan.available.roles if role not in plan.planes and same_size]
-    planes = {role: frame[role] for role in unread}
+    planes = {role: frame.planes[role] for role in unread}
     for role, tensor in resident.tensors.items():
-        planes[role] = frame[role] if tensor is inputs.get(role) else tensor.download(results.empty)
+        planes[role] = frame.planes[role] if tensor is inputs.get(role) else tensor.download(results.empty)
     parts = {name: part for name, part in frame.parts.items() if same_size}
     parts |= {name: tensor.download(results.empty) for name, tensor in resident.parts.items()}
-    result = dataclasses.replace(frame, planes=planes, encoding=plan.output.encoding, jitter=resident.jitter,
-                                 parts=parts)
+    result = frame.copy_with(planes=planes, encoding=plan.output.encoding, jitter=resident.jitter, parts=parts)
     if same_size:
         return result
-    return dataclasses.replace(result, guides={}, guide_size=None, guide_jitter=(0.0, 0.0), guide_source=None)
+    return result.copy_with(guides={}, guide_size=None, guide_jitter=(0.0, 0.0), guide_source=None)
 
 
 def _milliseconds(commands: CommandBuffer, name: str) -> float:

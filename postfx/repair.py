@@ -10,7 +10,7 @@ import numpy as np
 
 from postfx.errors import OptionError
 from postfx.frame import Frame, Role
-from postfx.kernels.statistics import INFINITY_BITS, WORTH, largest_bits_of_rows, share
+from postfx.kernels.statistics import INFINITY_BITS, WORTH, largest_bits_of
 from postfx.system import Scratch
 
 KNOWN = 0.75
@@ -19,6 +19,7 @@ SIDE, RIM = 4, 0.375
 """Longest side in pixels of a block of bad pixels that is repaired, and the share of finite neighbours at its rim."""
 MOST = 0.5
 """Share of bad pixels in the colour above which the frame is lost, and bad pixels count as black."""
+_INFINITY = int(INFINITY_BITS)
 REACH, FEW = 2, 3
 """Fireflies are told by the pixels so far around them, of which the brightest `FEW` - 1 may be fireflies, too."""
 AROUND = tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x)
@@ -36,7 +37,7 @@ def repair_nonfinite(
     the colour is bad, all bad pixels become 0. The given frame does not change. `scratch` is the memory budget for
     looking at planes and copying them.
     """
-    found = find_nonfinite({role: frame[role] for role in roles}, scratch)
+    found = find_nonfinite({role: frame.planes[role] for role in roles}, scratch)
     counts = {role: int(bad.sum()) for role, bad in found.items()}
     if Role.COLOUR not in found:
         return frame, counts
@@ -57,14 +58,9 @@ def find_nonfinite(planes: Mapping[Role, np.ndarray], scratch: Scratch | None = 
     """Role -> (height, width) bool: pixels of planes (height, width, C) that are not finite, for planes with any."""
     found = []
     for role, plane in planes.items():
-        most = INFINITY_BITS if role is Role.DEPTH else INFINITY_BITS - np.uint32(1)
-        for band in _bands(plane, scratch) if scratch else [plane]:
-            rows = band.view(np.uint32).reshape(len(band), -1)
-            largest = np.empty(len(rows), np.uint32)
-            share(largest_bits_of_rows, len(rows), rows, largest)
-            if largest.max() > most:
-                found.append(role)
-                break
+        most = _INFINITY if role is Role.DEPTH else _INFINITY - 1
+        if any([largest_bits_of(band) > most for band in (_bands(plane, scratch) if scratch else (plane,))]):
+            found.append(role)
     return {role: _nonfinite(planes[role], role, scratch) for role in found}
 
 

@@ -9,10 +9,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from postfx.frame import Frame, Role, host_floats
+from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from postfx.system import host_floats
 
 
 class SupportsDLPack(Protocol):

@@ -1,8 +1,8 @@
 """What this process may use of its machine, and where its files lie.
 
 Cores and memory, as affinity and control groups limit them; threads that share work; a memory budget, beyond which
-arrays lie in temporary files; folders for what can be remade, such as compiled kernels; and the folder of the models
-that ship with the code.
+arrays lie in temporary files; arrays of other libraries; folders for what can be remade, such as compiled kernels; and
+the folder of the models that ship with the code.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.errors import MemoryBudgetError
+from postfx.errors import FrameError, MemoryBudgetError
 
 _PACKAGE = Path(__file__).resolve().parent
 MOST_HEAPS = -8  # M_ARENA_MAX of glibc's malloc.h
@@ -228,3 +228,24 @@ def _explain_refusal(error: OSError, nbytes: int) -> str:
     if error.errno in (errno.EMFILE, errno.ENFILE):
         return "too many open files, as every large plane that is kept is one: keep fewer frames, or raise 'ulimit -n'"
     return f"{tempfile.gettempdir()}: no room for {nbytes >> 20} MB: set TMPDIR to a larger disk"
+
+
+def host_floats(given: Any, what: str) -> np.ndarray:
+    """An array of floats of any library that has `__dlpack__`, as NumPy's; not copied where that can be.
+
+    Raises FrameError, which begins with `what`, for other types and for arrays in the memory of a device.
+    """
+    array = given
+    if not isinstance(given, np.ndarray) and hasattr(given, "__dlpack__"):
+        try:
+            if given.__dlpack_device__()[0] not in (1, 3):  # the host's memory, plain or pinned by CUDA
+                raise BufferError("it lies in the memory of a device, for Pipeline.on_device")
+            array = np.asarray(np.from_dlpack(given))
+        except (BufferError, RuntimeError, TypeError, ValueError) as error:
+            reason = str(error).partition("\n")[0].rstrip(".")
+            raise FrameError(f"{what} cannot be read from {type(given).__name__} ({reason}): give an array of float32 "
+                             "in the host's memory, as by tensor.detach().cpu().float()") from error
+    if not isinstance(array, np.ndarray) or not np.issubdtype(array.dtype, np.floating):
+        found = getattr(array, "dtype", type(array).__name__)
+        raise FrameError(f"{what} is {found}: give a NumPy array of floats, or one of a library with DLPack")
+    return array

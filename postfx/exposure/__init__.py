@@ -59,7 +59,7 @@ def measure(colour: np.ndarray) -> float | None:
     in_order, low_at, high_at = np.sort(log), *((log.size - 1) * (percent / 100) for percent in PERCENTILES)
     low, high = in_order[math.floor(low_at)], in_order[math.ceil(high_at)]  # members: two blocks have no inside
     inner = np.maximum(log[(log >= low) & (log <= high)], high - RANGE_EV)
-    return float(np.clip(math.log2(KEY) - inner.mean(), *LIMITS_EV))
+    return min(max(float(math.log2(KEY) - inner.mean()), LIMITS_EV[0]), LIMITS_EV[1])
 
 
 class ExposureMeter:

@@ -76,6 +76,16 @@ def largest_bits_of_rows(first: int, last: int, rows: np.ndarray, largest: np.nd
         largest[y] = largest_bits(rows[y])
 
 
+def largest_bits_of(plane: np.ndarray) -> int:
+    """The same of a plane (height, width, channels) of float32, on the threads that are lent if it is worth that."""
+    bits = plane.view(np.uint32)
+    if bits.nbytes < 2 * WORTH:
+        return int(largest_bits(bits.reshape(-1)))
+    largest = np.empty(len(bits), np.uint32)
+    share(largest_bits_of_rows, len(bits), bits.reshape(len(bits), -1), largest)
+    return int(largest.max())
+
+
 @compiled
 def light_of_row(row: np.ndarray, light: np.ndarray) -> Real:
     """Luminance (w,) of a flat row of Rec.709 (3 w,), 0 where it is negative or not finite; returns how often the

@@ -103,7 +103,7 @@ class ResidentFrame:
         return cls(
             spec, dict(tensors), frame.number, frame.jitter, exposure, frame.reset, unusable, frame.samples,
             frame.world_to_camera, frame.fov_x, frame.metadata, dict(guides), frame.guide_jitter,
-            host_planes={role: frame[role] for role in tensors},
+            host_planes={role: frame.planes[role] for role in tensors},
             host_guides={role: frame.guides[role] for role in guides},
             parts=dict(parts), host_parts={name: frame.parts[name] for name in parts})
 

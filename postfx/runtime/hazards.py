@@ -104,9 +104,9 @@ class Hazards:
     def is_settled(self, tensor: Tensor) -> bool:
         """Whether nothing is in flight and the host may read the tensor; if not, `state` tells."""
         with self._lock:
-            allocation = tensor.allocation
-            return not (self._flying or allocation.released or allocation.transient or allocation.lost) \
-                and allocation.written.covers(*tensor.span())
+            own, allocation = tensor.allocation, tensor.resident().allocation
+            gone = own.released or (isinstance(own, Transient) and tensor.device.heap.explain_loss(own))
+            return not (gone or self._flying or allocation.lost) and allocation.written.covers(*tensor.span())
 
     def is_free(self, tensor: Tensor) -> bool:
         """Whether nothing is in flight or recorded that uses the tensor, so that the host may write it; if not, `state`

@@ -171,7 +171,8 @@ MOST_PLANS = 64
 """How many plans are cached; the least recently used is dropped first."""
 
 
-class Placement(NamedTuple):
+@dataclass(eq=False, slots=True, weakref_slot=True)
+class Placement:
     """A buffer's records with all transient tensors placed, and the memory of each."""
 
     records: list[Record]
@@ -201,6 +202,7 @@ class Arena:
         self._count = 0
         self._numbers = itertools.count(1)
         self._turn = 0
+        self._last: weakref.ref[Placement] | None = None
         self._label = ""
         self.plan: Plan | None = None
         self.plans = 0
@@ -228,7 +230,12 @@ class Arena:
             return None
         if before is None or before.memory is not self._get_memory():
             before = self._new(records, kept)
-        self._turn, self._label, self.plan = self._turn + 1, label, before.plan
+        self._label, self.plan = label, before.plan
+        if self._last and self._last() is before:  # all are where they were
+            for transient, allocation in before.places:
+                allocation.released = transient.released
+            return before
+        self._turn, self._last = self._turn + 1, weakref.ref(before)
         for (transient, allocation), taker in zip(before.places, before.plan.takers, strict=True):
             allocation.released = transient.released
             transient.place, transient.turn = allocation, self._turn
