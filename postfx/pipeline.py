@@ -26,8 +26,8 @@ from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Te
 from postfx.runtime.encoders import Recordings
 from postfx.runtime.memory import Reused, address
 
-MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
-"""Planes and guides of all sizes that are kept ready."""
+MOST_COPIES, SMALL = MOST_SIZES * (len(Role) + len(GUIDE_ROLES)), 1 << 20
+"""Planes and guides of all sizes that are kept ready; bytes that are copied sooner than commands are recorded."""
 
 RunUp = Callable[[Frame, Callable[[Frame], None]], Frame]
 """Runs frames before one that begins a shot, by the function that it is given, and says as what that one is run."""
@@ -375,7 +375,6 @@ class Flow:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        # of planes, where the host does not see the device's memory
         self._copies: LRUCache[tuple[str, tuple[int, ...]], Tensor] = LRUCache(MOST_COPIES)
         self._inputs: dict[str, Tensor] = {}  # the last frame's
         self._recordings = Recordings()
@@ -427,17 +426,19 @@ class Flow:
         return ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure, unusable)
 
     def _input(self, name: str, array: np.ndarray) -> Tensor:
-        """A plane as a tensor: the last frame's, if that was on the same memory, so that its commands are known again.
-        Where it is copied to the device, it always comes to the same memory."""
-        last, copied = self._inputs.get(name), not self._device.memory.host_visible
-        if last and not copied and (last.start, last.shape) == (address(array), array.shape) and not last.released:
+        """A plane as a tensor: on the last frame's memory, so that its commands are known again, where that is the
+        plane's, or the plane is copied: to a GPU, or because it is small."""
+        last, away, copy = self._inputs.get(name), not self._device.memory.host_visible, None
+        if last and not away and (last.start, last.shape) == (address(array), array.shape) and not last.released:
             return last  # it keeps its memory alive, so that nothing else can lie there
-        if last:
+        if last and last.allocation.borrowed:
             last.release()
-        place = name, array.shape
-        copy = self._copies.get_or_make(place, partial(self._device.heap.tensor, *place)) if copied else None
-        self._inputs[name] = self._device.wrap(name, array, copy)
-        return self._inputs[name]
+        if away or (last and array.nbytes <= SMALL):
+            copy = self._copies.get_or_make((name, array.shape), partial(self._device.heap.tensor, name, array.shape))
+        found = self._inputs[name] = copy if copy and not away else self._device.wrap(name, array, copy)
+        if found is copy:
+            found.upload(array)
+        return found
 
     def _run(self, steps: Sequence[Step], resident: ResidentFrame) -> None:
         commands = self._device.command_buffer(f"frame {resident.number}", not resident.history_only, self._recordings)

@@ -78,6 +78,19 @@ def test_memory_of_results_serves_again_when_nobody_holds_them(device):
     assert pipeline(make_frame(3))[Role.COLOUR].ctypes.data == place
 
 
+def test_commands_for_small_planes_in_new_memory_are_known(device, monkeypatch):
+    frames, place = [make_frame(number) for number in range(1, 8)], make_frame(1)
+    known, pipeline = (Pipeline([ToneMap()], device) for _ in range(2))
+    for number, frame in enumerate(frames):
+        if number == 3:
+            monkeypatch.setattr("postfx.runtime.commands.Footprint", None)  # of commands that were just recorded
+        place[Role.COLOUR][:] = frame[Role.COLOUR]
+        given = frame[Role.COLOUR].copy()
+        expected, found = known(place)[Role.COLOUR], pipeline(frame)[Role.COLOUR]
+        np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(frame[Role.COLOUR], given)
+
+
 def test_sequence_equals_frame_by_frame(device):
     frames = [make_frame(number, reset=number == 3) for number in range(1, 6)]
     pipeline = Pipeline([toys.Sum()], device)
