@@ -3,7 +3,7 @@
 It runs the commands below on the sample to see which functions they call with which types, compiles these for each
 level of the processor, as Numba would for this machine, and links them into one shared library a level, which lies with
 its index in postfx/_kernels. `postfx.kernels.native` says what they are for. It needs a C compiler, and takes about
-four minutes of processor time.
+six minutes of processor time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 
 from postfx import kernels
 from postfx.kernels import native
-from postfx.kernels.native import FOLDER, LEVELS, Kinds, digest_of_sources
+from postfx.kernels.native import FOLDER, LEVELS, Kinds, digest_of_sources, target_of
 from postfx.kernels.statistics import copy_pieces
 
 ROOT = Path(__file__).resolve().parent
@@ -79,8 +79,6 @@ int numba_attempt_nocopy_reshape(intptr_t axes, const intptr_t *shape, const int
 """What compiled code calls of Numba's runtime."""
 UNUSED = "void *{}(void) {{ return 0; }}\n"
 """Python's functions: code that would make Python's objects of an error is there, but nobody calls it."""
-FEATURES = "-prefer-256-bit"
-"""Vectors as wide as the level has them: what processors that Numba knows by name get, so pixels are the same bits."""
 Wanted = dict[str, list[Kinds]]
 
 
@@ -102,7 +100,7 @@ def main() -> None:
         functions.write_text(json.dumps(record(folder)))
         jobs = [subprocess.Popen(
             [sys.executable, __file__, "--into", given.into, "--level", level, "--functions", functions],
-            env={**os.environ, "NUMBA_CPU_NAME": level, "NUMBA_CPU_FEATURES": FEATURES}) for level in LEVELS]
+            env={**os.environ, **target_of(level)}) for level in LEVELS]
         if any([job.wait() for job in jobs]):
             sys.exit("a library was not made")
 
@@ -160,7 +158,7 @@ def make_library(wanted: Wanted, path: Path, level: str) -> None:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     target = llvm.Target.from_default_triple().create_target_machine(
-        level, FEATURES, 3, reloc="pic", codemodel="default")
+        *target_of(level).values(), 3, reloc="pic", codemodel="default")
     functions: dict[str, tuple[str, Kinds, str]] = {}
     with tempfile.TemporaryDirectory() as folder:
         objects: list[Path] = []

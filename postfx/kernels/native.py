@@ -28,8 +28,13 @@ import numpy as np
 
 FOLDER = Path(__file__).resolve().parents[1] / "_kernels" / f"{sys.platform}-{platform.machine()}"
 _V3 = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
-LEVELS = {"x86-64-v4": _V3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}, "x86-64-v3": _V3}
-"""Levels of the x86-64 psABI, the highest first, and what they need, as Linux names it."""
+_V4 = _V3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
+_VNNI, _VNNI_FEATURE = "-vnni", "+avx512vnni"
+LEVELS = {f"x86-64-v4{_VNNI}": _V4 | {"avx512_vnni"}, "x86-64-v4": _V4, "x86-64-v3": _V3}
+"""Levels of the x86-64 psABI, the highest first, and what they need, as Linux names it. The first also adds products of
+8-bit numbers at once."""
+FEATURES = "-prefer-256-bit"
+"""Vectors as wide as the level has them: what processors that Numba knows by name get, so pixels are the same bits."""
 SCALARS = {bool: "?", np.bool_: "?", int: "q", np.int64: "q", float: "d", np.float64: "d", np.float32: "f"}
 """Types of numbers that a function may be called with, as `struct` names them."""
 WORDS = {"?": "q", "q": "q", "d": "d", "f": "f4x"}
@@ -345,9 +350,26 @@ def digest_of_sources(names: Iterable[str]) -> dict[str, str]:
     return {name: hashlib.sha256((package / name).read_bytes()).hexdigest() for name in names}
 
 
+def compiled_level() -> str | None:
+    """The level of this processor, or of that which Numba was told to compile for."""
+    told, features = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES", "")
+    return processor_level() if told is None else told + _VNNI * (_VNNI_FEATURE in features)
+
+
+def target_of(level: str) -> dict[str, str]:
+    """What tells Numba to compile for a level: LLVM's names of a processor and its features."""
+    features = f"{FEATURES},{_VNNI_FEATURE}" if level.endswith(_VNNI) else FEATURES
+    return {"NUMBA_CPU_NAME": level.removesuffix(_VNNI), "NUMBA_CPU_FEATURES": features}
+
+
 def wide_vectors() -> bool:
-    """Whether vector instructions hold sixteen numbers, here or on the processor that Numba was told to compile for."""
-    return os.environ.get("NUMBA_CPU_NAME", processor_level()) == "x86-64-v4"
+    """Whether vector instructions hold sixteen numbers."""
+    return (compiled_level() or "").startswith("x86-64-v4")
+
+
+def adds_byte_products() -> bool:
+    """Whether one of them adds four products of 8 bits to each of its numbers."""
+    return wide_vectors() and (compiled_level() or "").endswith(_VNNI)
 
 
 def has_byte_products() -> bool:

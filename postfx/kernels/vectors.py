@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.kernels.native import cgutils, intrinsic, ir, types, wide_vectors
+from postfx.kernels.native import adds_byte_products, cgutils, intrinsic, ir, types, wide_vectors
 from postfx.kernels.numeric import compiled
 
 _FLAGS = ("contract",)
@@ -415,7 +415,7 @@ def multiply_codes(turned: np.ndarray, factors: np.ndarray, first: int, sums: np
 
     Args:
         turned: unsigned codes as `turn_codes` leaves them; w is a multiple of `PIXELS`.
-        factors: signed, at most 64: two products are added in 16 bits.
+        factors: signed, at most 64: without VNNI, two products are added in 16 bits.
     """
     groups, wide = turned.shape
     codes, weights = turned.reshape(turned.size), factors.reshape(factors.size).view(np.int32)
@@ -430,6 +430,8 @@ def _whole(count: int, bits: int = 32) -> Any:
 
 def _add_codes(builder: Any, total: Any, codes: Any, factors: Any) -> Any:
     """The total plus four products in each of its numbers, by x86's instructions."""
+    if adds_byte_products():
+        return _call(builder, "llvm.x86.avx512.vpdpbusd.512", _whole(LANES), [total, codes, factors])
     wide = LANES == 16
     products, pairs = _whole(4 * LANES, 8), _whole(2 * LANES, 16)
     multiply = "llvm.x86.avx512.pmaddubs.w.512" if wide else "llvm.x86.avx2.pmadd.ub.sw"
