@@ -75,6 +75,25 @@ def test_full_strength_is_the_denoised_picture_where_the_plane_says_so(device: D
     np.testing.assert_array_equal(found[:, :36], resampled(frame, Role.COLOUR, 2)[:, :36])
 
 
+@pytest.mark.parametrize(("size", "scale"), [((37, 50), 2), ((40, 5), 1.5), ((29, 13), 3)])
+def test_rows_of_full_strength_are_denoised_and_those_beside_them_blended(
+    size: tuple[int, int], scale: float, device: Device
+) -> None:
+    """To the bit, with the longest run of such rows in the middle, at an end, or cut by a single pixel."""
+    frame, pipeline = noisy(1, *size), Pipeline([DenoiseUpscale(scale=scale)], device, exposure=0.0)
+    (full,), plain = run([frame], device, scale=scale), resampled(frame, Role.COLOUR, scale)
+    for first, end, hole in ((0, size[0] - 3, None), (6, size[0], None), (4, size[0] - 5, 7), (5, size[0] - 1, None)):
+        strength = np.zeros(size, np.float32)
+        strength[first:end], strength[first - 1:first] = 1.0 if first < 5 else 1.5, 0.4
+        if hole is not None:
+            strength[hole, 2] = 0.99
+        pipeline.reset()
+        found, share = (make(masked(frame, strength)) for make in (
+            lambda one: pipeline(one)[Role.COLOUR], lambda one: np.clip(resampled(one, Role.STRENGTH, scale), 0, 1)))
+        np.testing.assert_array_equal(found, np.where(share == 1, full, plain + (full - plain) * share))
+        assert (share == 1).all((1, 2)).mean() > 0.5
+
+
 @pytest.mark.parametrize(("size", "scale"), SIZES)
 def test_strength_1_everywhere_is_not_blended(size: tuple[int, int], scale: float, device: Device) -> None:
     frames = [noisy(number, *size) for number in (1, 2, 3)]

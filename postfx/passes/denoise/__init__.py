@@ -297,6 +297,9 @@ class DenoiseUpscale(Pass):
         if ready.layers and not filtered:  # alpha is only resampled
             ready.layers.skip()
         layers, written = filtered.begin(commands, frame, planes, params, keep) if filtered else ([], {})
+        rows = ready.frames.rows(band, cells)
+        if ready.strength and not (filtered or ready.restore):
+            written = ready.strength.begin(frame, rows)
         colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
         own_runs = filtered.own_runs(frame, planes, params, keep) if filtered else ()
         for name, seen, own_params, output in own_runs:
@@ -304,7 +307,6 @@ class DenoiseUpscale(Pass):
             own_still = still and own_params[GAIN] == params[GAIN]
             ready.own[name].encode(commands, seen, own_params, keep, own_still, band, (), {"output": output})
         self._fresh, self._exposure = not frame.unusable, frame.exposure
-        rows = ready.frames.rows(band)
         colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
         if ready.strength:
             colour = ready.strength.encode(commands, frame, colour, rows, savings.note_unblended)

@@ -36,6 +36,7 @@ from postfx.passes.denoise.tiling import (
     Sizes,
     Tile,
     Window,
+    active_rows,
     around,
     band_of,
     bands_within,
@@ -282,9 +283,10 @@ class Frames:
         for some in [band] if band else self._bands:
             self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own, layers)
 
-    def rows(self, band: Band | None) -> Rows:
-        """The rows of the output that are written by a frame, or by some tiles of it."""
-        return self._sizes.output_rows(band.own) if band else (0, self._sizes.height)
+    def rows(self, band: Band | None, cells: np.ndarray | None) -> Rows:
+        """The rows of the output that are written by a frame, or by some tiles of it, as far as cells are active."""
+        active = (0, self._sizes.h) if cells is None else active_rows(cells, self._sizes.h)
+        return self._sizes.output_rows(band.own if band else active)
 
     @property
     def _band_shape(self) -> Shape:

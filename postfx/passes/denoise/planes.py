@@ -22,7 +22,7 @@ from postfx.kernels.statistics import bounds_of_cells, coverage_noise
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.history import LayerHistory
 from postfx.passes.denoise.options import ReactiveOption, Size
-from postfx.passes.denoise.tiling import Rows, rows_of
+from postfx.passes.denoise.tiling import Rows, full_rows, rows_of
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
 
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.
@@ -426,17 +426,24 @@ class Strength:
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, amount: float) -> None:
         self.plain = Plain(device, spec, output)
-        self._output = device.heap.transient("strength output", (*output, 3))
+        self._in_place = device.runs_rows
+        self._output, self._copy = (device.heap.transient(name, (*output, 3)) for name in ("blend", "denoised rows"))
         self._is_whole = amount == 1
-        self._amount = device.heap.tensor("amount", (1,))
-        self._amount.upload([amount])
-        self._table = ArgumentTable(device.compute_state(STRENGTH), {"amount": self._amount})
-        self._plane: Resampler | None = None
-        if spec.has(Role.STRENGTH):
-            self._plane = Resampler(device, "strength", Role.STRENGTH, Size(spec.height, spec.width), output)
-            self._strength = self._plane.output
-        else:
-            self._strength = device.wrap("full strength", np.ones((*output, 1), np.float32))
+        factor = device.wrap("amount", np.full(1, amount, np.float32))
+        self._table = ArgumentTable(device.compute_state(STRENGTH), {"amount": factor})
+        render, held = Size(spec.height, spec.width), spec.has(Role.STRENGTH)
+        self._plane = Resampler(device, "strength", Role.STRENGTH, render, output) if held else None
+        self._strength = self._plane.output if self._plane else device.wrap(
+            "full strength", np.ones((*output, 1), np.float32))
+
+    def begin(self, frame: ResidentFrame, rows: Rows) -> dict[str, Tensor]:
+        """Where the denoised picture should go: to the result, as 'output', if most of its rows are denoised fully, so
+        that these are neither blended nor copied."""
+        plane = frame.host_planes.get(Role.STRENGTH) if self._is_whole and self._in_place else None
+        if plane is None:
+            return {}
+        first, end = self._full = full_rows(plane, positions(len(plane), self._output.shape[0], frame.jitter[1]), rows)
+        return {"output": self._output} if 2 * (end - first) > rows[1] - rows[0] else {}
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
                unblended: Callable[[], None]) -> Tensor:
@@ -446,40 +453,46 @@ class Strength:
             unblended()
             return denoised
         colour, strength = frame[Role.COLOUR], frame[Role.STRENGTH] if self._plane else None
+        full = self._full if denoised is self._output else (rows[1], rows[1])
         self.plain.aim(frame)
         if self._plane:
             self._plane.aim(frame.jitter)
-        commands.repeat((self, colour, strength, denoised, rows),
-                        partial(self._record, commands, colour, strength, denoised, rows))
+        commands.repeat((self, colour, strength, denoised, rows, full),
+                        partial(self._record, commands, colour, strength, denoised, rows, full))
         return self._output
 
-    def _record(self, commands: CommandBuffer, colour: Tensor, strength: Tensor | None, denoised: Tensor,
-                rows: Rows) -> None:
-        others = (0, rows[0]), (rows[1], self._output.shape[0])
-        self.plain.run(commands, colour, [(self.plain.output, rows), *((self._output, some) for some in others)])
-        blended = {"plain": self.plain.output, "denoised": denoised, "strength": self._strength, "output": self._output}
-        for name, tensor in blended.items():
-            self._table[name] = rows_of(tensor, rows)
+    def _record(self, commands: CommandBuffer, colour: Tensor, strength: Tensor | None, denoised: Tensor, rows: Rows,
+                full: Rows) -> None:
+        blended, others = [(rows[0], full[0]), (full[1], rows[1])], [(0, rows[0]), (rows[1], self._output.shape[0])]
+        self.plain.run(commands, colour, [*((self.plain.output, some) for some in blended),
+                                          *((self._output, some) for some in others)])
         with commands.compute_encoder("strength") as encoder:
             encoder.barrier(after="compute", before="compute")
             if self._plane and strength:
-                self._plane.run(encoder, strength, [(self._strength, rows)])
+                self._plane.run(encoder, strength, [(self._strength, some) for some in blended])
                 encoder.barrier()
+            if denoised is self._output:
+                self._blend(encoder, denoised, denoised, self._copy, *blended)  # with itself
+                encoder.barrier()
+                denoised = self._copy
+            self._blend(encoder, self.plain.output, denoised, self._output, *blended)
+
+    def _blend(self, encoder: ComputeEncoder, plain: Tensor, denoised: Tensor, output: Tensor, *parts: Rows) -> None:
+        tensors = {"plain": plain, "denoised": denoised, "strength": self._strength, "output": output}
+        for rows in (some for some in parts if some[0] < some[1]):
+            for name, tensor in tensors.items():
+                self._table[name] = rows_of(tensor, rows)
             encoder.dispatch(self._table.state, self._table)
 
     def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
                     rows: Rows, plain: Resampler, output: Tensor) -> Tensor:
         """Record the same work on a part of the picture, after the picture itself; `plain` resamples parts."""
-        others = (0, rows[0]), (rows[1], output.shape[0])
-        blended = {"plain": plain.output, "denoised": denoised, "strength": self._strength, "output": output}
-        table = ArgumentTable(self._table.state, {"amount": self._amount})
-        for name, tensor in blended.items():
-            table[name] = rows_of(tensor, rows)
+        others = (output, (0, rows[0])), (output, (rows[1], output.shape[0]))
         with commands.compute_encoder("strength") as encoder:
             encoder.barrier(after="compute", before="compute")
-            plain.run(encoder, noisy, [(plain.output, rows), *((output, some) for some in others)])
+            plain.run(encoder, noisy, [(plain.output, rows), *others])
             encoder.barrier()
-            encoder.dispatch(table.state, table)
+            self._blend(encoder, plain.output, denoised, output, rows)
         return output
 
     def is_full(self, frame: ResidentFrame) -> bool:

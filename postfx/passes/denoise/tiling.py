@@ -236,6 +236,23 @@ def active_cells(strength: np.ndarray) -> np.ndarray:
     return mask
 
 
+def active_rows(cells: np.ndarray, h: int) -> Rows:
+    """The rows of a frame's pixels from the first active square to the last; there is one."""
+    found = np.flatnonzero(cells.any(1))
+    return CELL * int(found[0]), min(CELL * (int(found[-1]) + 1), h)
+
+
+def full_rows(strength: np.ndarray, at: np.ndarray, rows: Rows) -> Rows:
+    """Of some output rows, which lie `at` rows of a frame, the longest run in which a strength (h, w, 1) is 1: it is so
+    in both rows around each."""
+    ones = np.logical_and(strength >= 1, strength < np.inf).reshape(len(strength), -1).all(axis=1)
+    above = np.floor(at[slice(*rows)]).astype(int)
+    full = np.logical_and(*(np.take(ones, near, mode="clip") for near in (above, above + 1)))
+    runs = np.flatnonzero(np.diff(full, prepend=False, append=False)).reshape(-1, 2).tolist()
+    first, end = max(runs, key=lambda run: run[1] - run[0], default=(len(above), len(above)))
+    return rows[0] + first, rows[0] + end
+
+
 def _grouped(mask: np.ndarray, step: int) -> np.ndarray:
     """For each group of `step` rows of a mask, whether any of them is set."""
     padded = np.pad(mask, ((0, -len(mask) % step), (0, 0)))
