@@ -252,19 +252,39 @@ ASSEMBLE = kernel("assemble", ("tiles", "places", "frame_rows", "frame_columns")
                   frame_rows=("rows",), frame_columns=("columns",), picture=("rows", "columns", "channels"))
 
 
+@compiled
+def blend_row(share: np.ndarray, plain: np.ndarray, denoised: np.ndarray, row: np.ndarray) -> None:
+    """A row of numbers, each with its share."""
+    for x in range(share.size):
+        mixed = plain[x] + (denoised[x] - plain[x]) * share[x]
+        row[x] = denoised[x] if share[x] == ONE else mixed
+
+
+@compiled
+def blend_pixels(share: np.ndarray, plain: np.ndarray, denoised: np.ndarray, row: np.ndarray) -> None:
+    """A flat row of pixels, each with its share: in vector code."""
+    for x in range(share.size):
+        s, red, green, blue = share[x], denoised[3 * x], denoised[3 * x + 1], denoised[3 * x + 2]
+        r, g, b = plain[3 * x], plain[3 * x + 1], plain[3 * x + 2]
+        r, g, b = r + (red - r) * s, g + (green - g) * s, b + (blue - b) * s
+        row[3 * x], row[3 * x + 1] = red if s == ONE else r, green if s == ONE else g
+        row[3 * x + 2] = blue if s == ONE else b
 
 
 @compiled
 def strength_rows(y0: int, y1: int, denoised: np.ndarray, plain: np.ndarray, strength: np.ndarray, amount: np.ndarray,
                   output: np.ndarray) -> None:
     """From ``plain`` to ``denoised`` by strength times amount; both ends are exact."""
-    factor = clamp(amount[0], ZERO, ONE)
+    factor, (width, channels) = clamp(amount[0], ZERO, ONE), output.shape[1:]
+    share = np.empty(width, np.float32)
     for y in range(y0, y1):
-        for x in range(output.shape[1]):
-            share = clamp(strength[y, x, 0], ZERO, ONE) * factor
-            for c in range(output.shape[2]):
-                noisy, clean = plain[y, x, c], denoised[y, x, c]
-                output[y, x, c] = clean if share == ONE else noisy + (clean - noisy) * share
+        for x in range(width):
+            share[x] = clamp(strength[y, x, 0], ZERO, ONE) * factor
+        if channels == 3:
+            blend_pixels(share, plain[y].reshape(3 * width), denoised[y].reshape(3 * width),
+                         output[y].reshape(3 * width))
+        for c in range(channels if channels != 3 else 0):
+            blend_row(share, plain[y, :, c], denoised[y, :, c], output[y, :, c])
 
 
 OUT = ("height", "width", "channels")
