@@ -19,6 +19,7 @@ from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.kernels.statistics import (
     band_of,
     half_means,
+    limit_depths,
     mix_places,
     pair_means,
     places_inside,
@@ -41,7 +42,7 @@ LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors, doublings."""
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Picture:
     """One frame on the coarse grid.
 
@@ -116,10 +117,10 @@ def relation(before: Picture, now: Picture) -> float | None:
     By the motion vectors; where they do not lead to what is shown, which may be their fault, without motion as well.
     Frames that have none are compared without motion, then shifted as a whole by what fits best.
     """
-    still = np.zeros_like(now.light)
-    first = _compare(before, now, still if now.motion is None else now.motion)
+    first = _compare(before, now, np.zeros_like(now.light) if now.motion is None else now.motion)
     if first is None or first >= RELATED:
         return first
+    still = np.zeros_like(now.light)
     other = still + _shift(before, now) if now.motion is None else still
     return max(first, _compare(before, now, other) or 0.0)
 
@@ -139,38 +140,40 @@ def _on_grid(before: Picture, now: Picture) -> Picture:
 
 
 def _picture(frame: Frame) -> Picture | None:
-    colour = frame[Role.COLOUR]
-    block = max(LEAST_BLOCK, math.ceil(max(colour.shape[:2]) / MOST_CELLS))
-    rows, columns = (side // block for side in colour.shape[:2])
+    planes, colour = frame.planes, frame.planes[Role.COLOUR]
+    height, width = colour.shape[:2]
+    block = max(LEAST_BLOCK, math.ceil(max(height, width) / MOST_CELLS))
+    rows, columns = height // block, width // block
     if rows * columns < LEAST_COMPARED:
         return None
     halves = np.empty((2, rows, columns))
     share(half_means, rows, colour, np.array([block]), halves)
-    mean = np.sqrt(halves).mean() ** 2
+    mean = (np.sqrt(halves).sum() / halves.size) ** 2
     light = np.log2(halves + (FLOOR * mean or 1.0))
-    guides = {role: _cells(frame[role], block) for role in (Role.DIFFUSE_ALBEDO, Role.NORMAL) if role in frame}
-    if Role.DEPTH in frame:
-        guides[Role.DEPTH] = _log_depth(_cells(frame[Role.DEPTH], block))
+    guides: dict[Role, np.ndarray] = {}
+    for role in (Role.DIFFUSE_ALBEDO, Role.NORMAL):
+        if role in planes:
+            guides[role] = _cells(planes[role], block)
+    if Role.DEPTH in planes:
+        guides[Role.DEPTH] = _log_depth(_cells(planes[Role.DEPTH], block))
     motion = None
-    if Role.MOTION in frame:
-        motion = frame[Role.MOTION][block // 2 :: block, block // 2 :: block][:rows, :columns].astype(float) / block
-    cell = block / colour.shape[0], block / colour.shape[1]
-    return Picture(_band(light.transpose(1, 2, 0)), guides, motion, cell)
+    if Role.MOTION in planes:
+        motion = planes[Role.MOTION][block // 2 :: block, block // 2 :: block][:rows, :columns].astype(float) / block
+    return Picture(_band(light.transpose(1, 2, 0)), guides, motion, (block / height, block / width))
 
 
 def _cells(plane: np.ndarray, block: int) -> np.ndarray:
     """(rows, columns, 2, channels): means of two pairs of pixels of each whole block; such planes have little noise."""
-    rows, columns = (side // block for side in plane.shape[:2])
-    cells = np.empty((rows, columns, 2, plane.shape[2]))
+    height, width, channels = plane.shape
+    cells = np.empty((height // block, width // block, 2, channels))
     pair_means(plane, block, cells)
     return cells
 
 
 def _log_depth(depth: np.ndarray) -> np.ndarray:
-    """log2 of depth; cells with misses lie one doubling behind the farthest one without."""
-    hit = depth < DEPTH_MISS / 8
-    farthest = depth.max(initial=1e-6, where=hit)
-    doublings: np.ndarray = np.log2(np.maximum(np.where(hit, depth, 2 * farthest), 1e-6))
+    """log2 of depth, which is changed; cells with misses lie one doubling behind the farthest one without."""
+    limit_depths(depth.reshape(-1), DEPTH_MISS / 8, 1e-6)
+    doublings: np.ndarray = np.log2(depth, out=depth)
     return doublings
 
 
@@ -187,7 +190,7 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
 
     None where no plane tells anything, 0 where the motion leads out of the frame before.
     """
-    cells = motion[..., 0].size
+    cells = now.light.shape[0] * now.light.shape[1]
     x, y, numbers = np.empty(cells), np.empty(cells), np.empty(cells, np.int64)
     count = places_inside(motion, x, y, numbers)
     if count < max(LEAST_COMPARED, LEAST_OVERLAP * cells):

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -204,7 +204,7 @@ class FrameSpec:
         for name, value in fixed.items():
             object.__setattr__(self, name, value)
 
-    @property
+    @cached_property
     def roles(self) -> tuple[Role, ...]:
         """Roles of the planes, in the order of `Role`."""
         return tuple([role for role, _ in self.planes])
@@ -374,10 +374,12 @@ class Frame:
         parts = tuple([(name, part.shape[2]) for name, part in self.parts.items()])
         return _spec_of(shapes, self.encoding, guides, self.source, parts)
 
-    def copy_with(self, **fields: Any) -> Self:
-        """A copy with other values of some fields, which fit together and are not checked."""
+    def copy_with(self, check: bool = False, **fields: Any) -> Self:
+        """A copy with other values of some fields, which fit together, unless everything is to be checked anew."""
         copied = object.__new__(type(self))
         copied.__dict__.update(self.__dict__, **fields)
+        if check:
+            copied.__post_init__()
         return copied
 
     def __getitem__(self, role: Role | str) -> np.ndarray:

@@ -105,7 +105,7 @@ class Pipeline:
         try:
             # planes may have been put into it since it was made
             with lend(self.device.lent):
-                return self._process(dataclasses.replace(frame, metadata=dict(frame.metadata)))
+                return self._process(frame.copy_with(check=True, metadata=dict(frame.metadata)))
         except BaseException:
             self._reset_passes()
             for own in self._views.values():
@@ -450,7 +450,9 @@ class Flow:
         finally:
             commands.discard()
         _wait(commands)
-        self.timings = {step.name: _milliseconds(commands, step.name) for step in steps}
+        spent = commands.timings
+        self.timings = {step.name: sum([time for label, time in spent if label.startswith(f"{step.name}/")])
+                        for step in steps}
 
 
 def _wait(commands: CommandBuffer) -> None:
@@ -468,9 +470,9 @@ def _encode(step: Step, commands: CommandBuffer, resident: ResidentFrame) -> Non
     """Let a pass record its work, then hold it to the output it declared."""
     with commands.group(step.name):
         step.instance.encode(commands, resident)
-    output = step.reflection.output
-    resident.tensors = {role: resident[role] for role in output.roles if role in resident}
-    wrong = [role for role in output.roles if role not in resident or not _fits(resident[role], role, output)]
+    output, left = step.reflection.output, resident.tensors
+    resident.tensors = {role: left[role] for role in output.roles if role in left}
+    wrong = [role for role in output.roles if role not in left or not _fits(left[role], role, output)]
     if wrong:
         raise PassContractError(f"pass '{step.name}' did not leave plane '{wrong[0]}' as its reflection declares")
     resident.guides = {role: resident.guides[role] for role in output.guide_roles}
@@ -494,7 +496,3 @@ def _finish(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role
     if same_size:
         return result
     return result.copy_with(guides={}, guide_size=None, guide_jitter=(0.0, 0.0), guide_source=None)
-
-
-def _milliseconds(commands: CommandBuffer, name: str) -> float:
-    return sum(elapsed for label, elapsed in commands.timings if label.startswith(f"{name}/"))

@@ -56,10 +56,10 @@ def measure(colour: np.ndarray) -> float | None:
     if light.size == 0:
         return None
     log = np.log2(light)
-    in_order, low_at, high_at = np.sort(log), *((log.size - 1) * (percent / 100) for percent in PERCENTILES)
+    in_order, low_at, high_at = np.sort(log), *[(log.size - 1) * (percent / 100) for percent in PERCENTILES]
     low, high = in_order[math.floor(low_at)], in_order[math.ceil(high_at)]  # members: two blocks have no inside
     inner = np.maximum(log[(log >= low) & (log <= high)], high - RANGE_EV)
-    return min(max(float(math.log2(KEY) - inner.mean()), LIMITS_EV[0]), LIMITS_EV[1])
+    return min(max(float(math.log2(KEY) - inner.sum() / inner.size), LIMITS_EV[0]), LIMITS_EV[1])
 
 
 class ExposureMeter:

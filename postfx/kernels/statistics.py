@@ -20,6 +20,8 @@ from postfx.kernels.numeric import Real, add, compiled, inline, summed, vectoris
 
 INFINITY_BITS = np.uint32(0x7F800000)
 """The bits of an infinite float32; those of NaN, without the sign, are larger."""
+PIECE = 1 << 12
+"""Numbers that are looked at before one looks whether more is needed."""
 WORTH = 1 << 20
 """Bytes to look at or to copy that are worth another thread."""
 
@@ -180,6 +182,17 @@ def pair_means(plane: np.ndarray, block: int, means: np.ndarray) -> None:
                     first = np.float64(plane[j * block + near, i * block + left, c])
                     mean = (first + np.float64(plane[j * block + far, i * block + right, c])) / 2
                     means[j, i, pair, c] = mean if abs(mean) < np.inf else 0.0
+
+
+@compiled
+def limit_depths(depth: np.ndarray, beyond: Real, least: Real) -> None:
+    """Put flat depths from `beyond` on, and what is no number, at twice the farthest of the others; none is less than
+    `least`."""
+    farthest = least
+    for i in range(depth.size):
+        farthest = max(farthest, depth[i]) if depth[i] < beyond else farthest
+    for i in range(depth.size):
+        depth[i] = max(depth[i], least) if depth[i] < beyond else 2 * farthest
 
 
 @compiled
@@ -372,6 +385,18 @@ def sum_of_nothing(flat: np.ndarray) -> Real:
 def is_finite(flat: np.ndarray) -> bool:
     """Whether all numbers are finite."""
     return bool(sum_of_nothing(flat) == 0)
+
+
+@compiled
+def is_blank(bits: np.ndarray) -> bool:
+    """Whether all numbers of float32 with these bits, flat uint32, are 0."""
+    found = np.uint32(0)
+    for first in range(0, bits.size, PIECE):
+        for i in range(first, min(first + PIECE, bits.size)):
+            found |= bits[i] & np.uint32(0x7FFFFFFF)
+        if found:
+            return False
+    return True
 
 
 @compiled

@@ -127,7 +127,9 @@ class ResidentFrame:
         """Whether a plane is known to be 0 everywhere, which is not looked for on a GPU."""
         if self.is_away or role not in self.host_planes:
             return role in self.blank
-        return not self.host_planes[role].any()
+        from postfx.kernels.statistics import is_blank  # loads Numba, which lists of passes need not wait for
+
+        return bool(is_blank(self.host_planes[role].reshape(-1).view("uint32")))
 
     def set(self, role: Role, tensor: Tensor, blank: bool = False) -> None:
         """Replace or add a plane: a float32 tensor (height, width, channels) that a recorded command writes, or, if it
@@ -292,7 +294,7 @@ class Pass:
 
         Raises NotCompiledError when the pass was not compiled for this frame's spec.
         """
-        if self._spec != frame.spec:
+        if self._spec is not frame.spec and self._spec != frame.spec:
             state = "not compiled" if self._spec is None else "compiled for another spec"
             raise NotCompiledError(f"pass '{self.name}' is {state}: call compile(device, frame.spec) before encode")
 

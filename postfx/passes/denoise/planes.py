@@ -92,7 +92,7 @@ class Planes:
         render = Size(spec.height, spec.width)
         self._device, self._spec, self.hazy, self._looked = device, spec, False, False
         self._haze: dict[str, Tensor] = {}
-        self._held = [role for role in ABSENT if spec.has(role)]
+        self._held = {role: str(role) for role in ABSENT if spec.has(role)}
         self._guides = [role for role in GUIDE_ROLES if guided and role in spec.guide_roles]
         self._constants: dict[str, Tensor] = {}
         self._reduced: dict[Role, Resampler] = {}
@@ -117,7 +117,7 @@ class Planes:
                     resampler.encode(encoder, frame.guides[role], frame.guide_jitter, frame.jitter)
                 for role, resampler in self._enlarged.items():
                     resampler.encode(encoder, frame[role], frame.jitter, frame.guide_jitter)
-        planes = {str(role): frame[role] for role in (Role.COLOUR, *self._held)}
+        planes = {"colour": frame[Role.COLOUR]} | {name: frame[role] for role, name in self._held.items()}
         planes |= {f"guide_{role}": frame.guides[role] for role in self._guides}
         planes |= {str(role): resampler.output for role, resampler in self._reduced.items()}
         planes |= {f"guide_{role}": resampler.output for role, resampler in self._enlarged.items()}
