@@ -168,7 +168,7 @@ CHOSEN = (
     ("py", "rows[y] == columns[x] else greys[1]", "rows[y] != columns[x] else greys[1]"),
     ("py", "return halo_of(models) * 4 // 3", "return halo_of(models) // 3"),
     ("py", "min(max(0, first - halo) // grid * grid, last)", "min(max(0, first - halo), last)"),
-    ("py", 'pack("<2i", top, len(stored))', 'pack("<2i", 0, len(stored))'),
+    ("py", 'pack("<2i", top + place * lines, len(chunk))', 'pack("<2i", top, len(chunk))'),
     ("py", "if len(packed) < plain.size else plain.tobytes()", ""),
     ("py", "-down - first_row, -right", "-down, -right"),
     ("py", "inner |= current", "inner = current and inner"),
