@@ -18,8 +18,9 @@ import stat
 import sys
 import tempfile
 import weakref
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -140,9 +141,20 @@ def _numbers(folder: Path, names: tuple[tuple[str, ...], ...]) -> Iterator[list[
 
 
 @cache
+def _shared_cores() -> int:
+    """Threads that work: asked for once, as the answer lies in files."""
+    return usable_cores()
+
+
+@cache
 def _threads(waiting: bool) -> ThreadPoolExecutor:
     """Threads that work, or those that mostly wait for them."""
-    return ThreadPoolExecutor(4 if waiting else usable_cores(), "postfx")
+    return ThreadPoolExecutor(4 if waiting else _shared_cores(), "postfx")
+
+
+def begin(task: Callable[[], Any]) -> Future[Any]:
+    """Start a function that mostly waits for others."""
+    return _threads(True).submit(task)
 
 
 def at_once(tasks: Iterable[Callable[[], Any]], waiting: bool = False) -> list[Any]:
@@ -152,9 +164,19 @@ def at_once(tasks: Iterable[Callable[[], Any]], waiting: bool = False) -> list[A
 
 def in_bands(height: int, kernel: Callable[..., None], *arguments: Any) -> None:
     """Run a kernel on all rows, in bands side by side: small ones, as some rows take longer than others."""
-    band = max(4, -(-height // (16 * usable_cores()))) * 2
-    at_once([lambda first=first: kernel(first, min(height, first + band), *arguments)  # type: ignore[misc]
-             for first in range(0, height, band)])
+    cores = _shared_cores()
+    band = max(4, -(-height // (16 * cores))) * 2
+    firsts = deque(range(0, height, band))
+
+    def work() -> None:
+        while True:
+            try:
+                first = firsts.popleft()
+            except IndexError:  # another thread took the last one
+                return
+            kernel(first, min(height, first + band), *arguments)
+
+    at_once([work] * min(cores, len(firsts)))
 
 
 # A memory budget

@@ -3,7 +3,7 @@
 Steps: `paths` lead both frames through the time between them, for cells of a few pixels, and are splatted to the time
 that is asked for; `flow` estimates motion where vectors tell nothing; `choose` decides between the paths that meet, and
 `blend` takes the picture from both frames along them. `timing` says which times, numbers and time codes a sequence
-gets, and how light goes on through four of its frames. docs/interpolation.md.
+gets, how light goes on through four of its frames, and keeps that of sparks. docs/interpolation.md.
 """
 
 from __future__ import annotations
@@ -20,15 +20,8 @@ from postfx.cuts import CutDetector
 from postfx.errors import FrameError
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.interpolate import paths
-from postfx.interpolate.blend import compose, join_cells
-from postfx.interpolate.choose import (
-    MARGIN,
-    choose_paths,
-    measure_change,
-    measure_detail,
-    merge_sides,
-    misfits,
-)
+from postfx.interpolate.blend import DARK, Pair, compose, join_cells, split_planes, stack_planes
+from postfx.interpolate.choose import MARGIN, choose_paths, measure_change, measure_detail, merge_sides, misfits
 from postfx.interpolate.flow import (
     COVERED,
     bring_to_time,
@@ -42,9 +35,9 @@ from postfx.interpolate.flow import (
     remove_overlay,
     tone_rows,
 )
-from postfx.interpolate.timing import camera_between, follow_light
+from postfx.interpolate.timing import camera_between, find_sparks, follow_light, keep_sparks, settle_sparks
 from postfx.kernels.statistics import is_finite, is_same_plane
-from postfx.system import at_once, in_bands
+from postfx.system import at_once, begin, in_bands
 from postfx.temporal.reverse_motion import invert_motion
 
 LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
@@ -57,8 +50,6 @@ LEAST_SEARCHED = 240
 """Pixels along the shorter side of the picture in which motion is estimated, at least where there are as many."""
 LONGEST = 64
 """Pixels by which an overlay that was found in the picture is grown, at most."""
-Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
-"""A plane of both frames."""
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 OVERLAYS = ("mix", "hold")
 CAMERA = ("worldToCamera", "worldToNDC")
@@ -214,6 +205,19 @@ class Between:
         return middle_light(self._pictures)
 
     @cached_property
+    def _dim(self) -> np.float32:
+        """Light, summed over channels, that counts as dark."""
+        return np.float32(DARK * self._level)
+
+    @cached_property
+    def _sparks(self) -> list[np.ndarray]:
+        """Cells of both frames that show sparks; empty without, and without flow, which would hide them."""
+        if not self._flow or Role.MOTION not in self.after:
+            return []
+        marks = [find_sparks(picture, self._scale, self._dim, self._grid) for picture in self._pictures]
+        return marks if marks[0].any() or marks[1].any() else []
+
+    @cached_property
     def _matched(self) -> tuple[np.ndarray, np.ndarray]:
         """The same in one line, as kernels read them."""
         first, last = self._toned
@@ -356,10 +360,14 @@ class Between:
 
     # What is made for a time
 
-    def _choose(self, t: float) -> np.ndarray:
-        """What `compose` takes of the cells at a time."""
+    def _choose(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What `compose` takes of the cells at a time, their paths by planes alone, and marks of `settle_sparks`."""
+        _ = self._grid if self._both_have(Role.DEPTH) and Role.MOTION in self.after else self._toned
+        leading = begin(lambda: self._paths)
         _ = self._toned
-        (first, last), _, _ = at_once([lambda: self._paths, lambda: self._flows, lambda: self._known], waiting=True)
+        looking = begin(lambda: self._sparks)
+        at_once([lambda: self._flows, lambda: self._known], waiting=True)
+        first, last = leading.result()
         (one, near), (other, far), ahead, back = at_once([
             lambda: paths.splat_paths(first, t), lambda: paths.splat_paths(last, t),
             lambda: bring_to_time(self._flows[0], first.ends[..., 2:], *self._small, self._scale, t),
@@ -373,18 +381,21 @@ class Between:
                 side[..., :4] -= shift / np.float32(self._scale)
         at_once([lambda: paths.fill_holes(own, np.minimum(near, far)), lambda: self._noise])
         in_bands(len(own), measure_change, one, other, np.float32(self._scale), own)
-        cells = new_array((*self._grid, 8))
+        cells, marks = new_array((*self._grid, 8)), np.empty(self._grid, np.uint8)
         in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, ahead, back,
                   self._mirrored, first.ends, first.seen, last.ends, last.seen, near, far, first.depth, last.depth, t,
                   self._scale, self._noise, cells)
+        if looking.result():
+            in_bands(self._grid[0], settle_sparks, *self._pictures, *self._sparks, own, self._scale, self._dim,
+                     t <= 0.5, cells, marks)
         in_bands(self._grid[0], join_cells, cells)
         in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, self._noise, cells)
-        return cells
+        return cells, own, marks
 
     def _make_planes(self, t: float, previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
         """Planes and parts at a time."""
         before, after = self.before, self.after
-        cells = self._choose(t)
+        cells, own, marks = self._choose(t)
         shared = [name for name, part in before.parts.items()
                   if name in after.parts and part.shape == after.parts[name].shape]
         exact = [name for name in shared if name in before.part_sources and before.part_sources[name].exact]
@@ -394,7 +405,7 @@ class Between:
                   if name not in exact}
         data: dict[Role | str, Pair] = {role: (before[role], after[role]) for role in DATA if self._both_have(role)}
         data |= {name: (before.parts[name], after.parts[name]) for name in exact}
-        stacks = [[_stack([pair[side] for pair in group.values()], self._size) for side in (0, 1)]
+        stacks = [[stack_planes([pair[side] for pair in group.values()], self._size) for side in (0, 1)]
                   for group in (light, data)]
         picture, mixed, taken = (new_array(pair[0].shape) for pair in (self._pictures, *stacks))
         motion = new_array((*self._size, 2) if Role.MOTION in after else (0, 0, 2))
@@ -404,7 +415,9 @@ class Between:
                   t, self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
         if self._pictures is self._colours:
             follow_light((self._earlier, before, after, self._later), t, picture)
-        made = _split(mixed, light) | _split(taken, data)
+        if self._sparks:
+            keep_sparks(self._pictures, self._sparks, own, marks, self._scale, self._dim, t, picture)
+        made = split_planes(mixed, light) | split_planes(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
         if Role.MOTION in after:
             made[Role.MOTION] = motion
@@ -485,16 +498,3 @@ def _finite(plane: np.ndarray) -> np.ndarray:
     """The plane with 0 for what is not finite; itself if everything is and it lies in one piece."""
     plane = np.ascontiguousarray(plane)
     return plane if is_finite(plane.ravel()) else np.nan_to_num(plane, nan=0, posinf=0, neginf=0)
-
-
-def _stack(planes: list[np.ndarray], size: tuple[int, ...]) -> np.ndarray:
-    """All channels (h, w, n) of planes of this size, of which there may be none."""
-    if len(planes) == 1:
-        return np.ascontiguousarray(planes[0], np.float32)
-    return np.concatenate(planes, -1, dtype=np.float32) if planes else np.empty((*size, 0), np.float32)
-
-
-def _split(stack: np.ndarray, group: dict[Role | str, Pair]) -> dict[Role | str, np.ndarray]:
-    """The planes in a stack of them."""
-    ends = np.cumsum([pair[0].shape[2] for pair in group.values()])
-    return {key: stack[..., end - pair[0].shape[2]:end] for (key, pair), end in zip(group.items(), ends, strict=True)}

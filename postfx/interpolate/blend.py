@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from postfx.frame import Role
 from postfx.interpolate.choose import JOINED, OTHER, SMOOTH, TURNING, is_within
 from postfx.kernels.numeric import Real, compiled, inline, load_eight, mix_eight, store_eight, uncounted
 from postfx.kernels.vectors import in_lanes
@@ -36,8 +37,23 @@ does not leak over an edge."""
 ELSE, DARK = np.float32(100), np.float32(0.05)
 """How many times as bright as in the other frame something is that only one of them shows, and the share of the middle
 light, summed over channels, that counts as dark there."""
+Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
+"""A plane of both frames."""
 Cell: TypeAlias = tuple[Real, Real, Real, Real, Real, Real, Real]
 """A path of a cell, and how sharp the pictures are there."""
+
+
+def stack_planes(planes: list[np.ndarray], size: tuple[int, ...]) -> np.ndarray:
+    """All channels (h, w, n) of planes of this size, of which there may be none."""
+    if len(planes) == 1:
+        return np.ascontiguousarray(planes[0], np.float32)
+    return np.concatenate(planes, -1, dtype=np.float32) if planes else np.empty((*size, 0), np.float32)
+
+
+def split_planes(stack: np.ndarray, group: dict[Role | str, Pair]) -> dict[Role | str, np.ndarray]:
+    """The planes in a stack of them."""
+    ends = np.cumsum([pair[0].shape[2] for pair in group.values()])
+    return {key: stack[..., end - pair[0].shape[2]:end] for (key, pair), end in zip(group.items(), ends, strict=True)}
 
 
 @inline

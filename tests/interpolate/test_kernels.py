@@ -7,7 +7,7 @@ import pytest
 
 from postfx import Between
 from postfx.frame import Frame, Role
-from postfx.interpolate import blend, choose, flow, paths
+from postfx.interpolate import blend, choose, flow, paths, timing
 from postfx.kernels.image import catmull_rom
 from postfx.kernels.numeric import compiled
 from postfx.sampling import cubic_three
@@ -211,3 +211,58 @@ def test_flow_is_moved_along_itself_where_planes_do_not_know_of_it():
     brought = flow.bring_to_time(flow_, known, one, other, 2, 0.5)
     flow_[3:5, 5:7], flow_[6, 3, 0] = flow_[1, 2], np.nan  # the four cells around the place; what planes tell
     np.testing.assert_array_equal(brought, flow_)
+
+
+def dark_with(*discs: tuple[int, int, float]) -> np.ndarray:
+    """A dark picture with discs of 5 pixels, at these pixels, of this light."""
+    picture = np.full((66, 91, 3), 0.1, np.float32)
+    y, x = np.indices(picture.shape[:2])
+    for row, column, light in discs:
+        picture[np.hypot(y - row, x - column) < 2.6] = light / 3
+    return picture
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_sparks_are_small_and_brighter_than_all_around(scale):
+    picture = dark_with((20, 30, 50), (20, 70, 12), (50, 20, 4))
+    picture[40:, 60:] = 50  # a lamp
+    grid = -(-66 // scale), -(-91 // scale)
+    found = timing.find_sparks(picture, scale, np.float32(0.3), grid)
+    marks = {place: found[place[0] // scale, place[1] // scale] for place in
+             ((20, 30), (20, 70), (50, 20), (55, 80), (20, 32 + 2 * scale), (20, 50))}
+    assert list(marks.values()) == [3, 2, 0, 0, 1, 0]
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_spark_of_the_farther_frame_is_left_out_with_its_edge(is_first):
+    before, after = dark_with((20, 30, 90)), dark_with((44, 60, 90))
+    later = after if is_first else before
+    later[np.logical_and(later < 1, np.roll(later, 1, 1) > 1)] = 3  # half of a spark
+    dim, cells = np.float32(0.3), np.zeros((33, 46, 8), np.float32)
+    cells[..., 4:6] = 1
+    own, marks = cells.copy(), np.empty((33, 46), np.uint8)
+    sparks = [timing.find_sparks(picture, 2, dim, (33, 46)) for picture in (before, after)]
+    timing.settle_sparks(0, 33, before, after, *sparks, own, 2, dim, is_first, cells, marks)
+    near, far = ((20, 30), (44, 60)) if is_first else ((44, 60), (20, 30))
+    of_one = cells[..., 4] + cells[..., 5] == 1
+    assert cells[far[0] // 2, far[1] // 2, 4:6].tolist() == [is_first, not is_first]
+    assert of_one[far[0] // 2, far[1] // 2 + 1] and not of_one[near[0] // 2 - 3:near[0] // 2 + 4].any()
+    shown = np.argwhere(np.abs(later - 0.1).max(-1) > 0)
+    assert all(of_one[y // 2, x // 2] for y, x in shown), "nothing of it is mixed in"
+    assert of_one.sum() < 40
+
+
+def test_light_of_sparks_that_are_hidden_goes_to_those_that_are_shown():
+    """At a quarter of the time, of two sparks before and one after, of which one is shown."""
+    before, after, picture = dark_with((20, 30, 90), (50, 70, 30)), dark_with((20, 60, 60)), dark_with((20, 30, 70))
+    kept, dim, own = picture.copy(), np.float32(0.3), np.zeros((66, 91, 8), np.float32)
+    own[..., 4:6] = 1
+    sparks = [timing.find_sparks(one, 1, dim, (66, 91)) for one in (before, after)]
+    marks = np.maximum(*sparks)
+    timing.keep_sparks((before, after), sparks, own, marks, 1, dim, 0.25, picture)
+    light = [float((one - 0.1).sum()) for one in (before, after, picture)]
+    assert light[2] == pytest.approx(0.75 * light[0] + 0.25 * light[1], rel=1e-4)
+    np.testing.assert_array_equal(picture[kept < 1], kept[kept < 1])
+    few = dark_with((20, 30, 20))
+    timing.keep_sparks((before, after), sparks, own, marks, 1, dim, 0.25, few)
+    assert few.max() == pytest.approx(0.1 + timing.SCALES[1] * (20 / 3 - 0.1), rel=1e-4), "within bounds"
