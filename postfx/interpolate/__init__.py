@@ -211,8 +211,8 @@ class Between:
 
     @cached_property
     def _sparks(self) -> list[np.ndarray]:
-        """Cells of both frames that show sparks; empty without, and without flow, which would hide them."""
-        if not self._flow or Role.MOTION not in self.after:
+        """Cells of both frames that show sparks; empty without, without flow, and where overlays left black pixels."""
+        if not self._flow or self._composited or Role.MOTION not in self.after:
             return []
         marks = [find_sparks(picture, self._scale, self._dim, self._grid) for picture in self._pictures]
         return marks if marks[0].any() or marks[1].any() else []

@@ -397,3 +397,26 @@ def test_an_overlay_in_the_picture_is_found_by_its_edges_and_grown(points, reach
     known = np.ones((13, 13), np.bool_)
     find_overlay(before, after, np.ones((13, 13, 2), np.float32), reach, known)
     assert (~known).sum() == found and not known[points[0]]
+
+
+def test_a_spark_without_vectors_is_shown_once_and_keeps_its_light(scene):
+    """That of the nearer frame, and nothing of the other one's, not even its edge."""
+    def lit(frame: Frame, row: float, column: float, light: float) -> Frame:
+        y, x = np.indices(SIZE)
+        share = (3.1 - np.hypot(y - row, x - column)).clip(0, 1)[..., None]
+        colour = frame[Role.COLOUR] + np.float32(light) * share.astype(np.float32)
+        return replace(frame, planes={**frame.planes, Role.COLOUR: colour})
+
+    plain = [scene(0), scene(1)]
+    frames = [lit(plain[0], 9, 22, 2000), lit(plain[1], 12, 70, 3500)]
+    found, without = (Between(*two).frame(0.4)[Role.COLOUR] for two in (frames, plain))
+    more = np.abs(found - without).sum(-1)
+    assert more[:24, 56:90].max() < 20, "a ring would be 100 and more"
+    assert more[5:15, 14:28].max() > 4000
+    sums = [float((one[Role.COLOUR] - other[Role.COLOUR]).sum()) for one, other in zip(frames, plain, strict=True)]
+    assert float((found - without).sum()) == pytest.approx(0.6 * sums[0] + 0.4 * sums[1], rel=0.05)
+    layer = np.zeros((*SIZE, 4), np.float32)
+    layer[..., 3] = 1
+    layer[6:20, 16:80, 3] = 0  # what is below is black elsewhere
+    covered = [replace(frame, planes={**frame.planes, Role.OVERLAY: layer}) for frame in frames]
+    assert not Between(*covered, composited=True)._sparks
