@@ -63,9 +63,10 @@ denoise_pools(View finer, View finer_importance, View firsts, View level1, View 
         const int side = TREE >> i;
         high = max(high, (levels[i].size[1] - first_row + side - 1) / side);
         wide = max(wide, (levels[i].size[2] - first_column + side - 1) / side);
-        if (i == 0) break;
-        first_row = 2 * first_row + int(firsts.at[i]);
-        first_column = 2 * first_column + int(firsts.at[LAST + i]);
+        if (i > 0) {
+            first_row = 2 * first_row + int(firsts.at[i]);
+            first_column = 2 * first_column + int(firsts.at[LAST + i]);
+        }
     }
     const int count = high * wide, thread = threadIdx.x;
     for (int tree = blockIdx.y; tree < count; tree += gridDim.y) {
@@ -102,13 +103,16 @@ denoise_pools(View finer, View finer_importance, View firsts, View level1, View 
                     }
                     if (y >= 0 && y < height && x >= 0 && x < width) {
                         const size_t here = size_t(y) * width + x, plane = size_t(height) * width;
-                        for (int c = 0; c < planes; c++) levels[level].at[(k + c) * plane + here] = found[c];
+#pragma unroll
+                        for (int c = 0; c < 3; c++)
+                            if (c < planes) levels[level].at[(k + c) * plane + here] = found[c];
                         totals[level].at[here] = found[3];
                     } else {
                         found[3] = 0.0f;
                     }
-                    if (level < LAST - 1)
-                        for (int c = 0; c < 4; c++) cells[level][c][j][i] = found[c];
+#pragma unroll
+                    for (int c = 0; c < 4 && level < LAST - 1; c++)
+                        cells[level][c][j][i] = found[c];
                 }
                 if (level < LAST - 1) {
                     __syncthreads();
