@@ -15,8 +15,10 @@ from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.tiling import (
     CELL,
     COARSE,
+    GPU_FIXED,
     Box,
     Sizes,
+    around,
     bands_of,
     boxes_of,
     can_serve,
@@ -95,6 +97,14 @@ def test_boxes_around_what_is_active_are_cut_where_most_is_left_out() -> None:
             left[box.top:box.top + box.rows, box.left:box.left + box.columns] -= 1
         assert left.max() == 0, "what is active lies in a box, and no two boxes overlap"
         assert left.min() >= -1
+
+
+def test_far_apart_boxes_are_one_window_on_a_gpu() -> None:
+    """There windows take about as long each, whatever their size."""
+    sizes, cells = Sizes(540, 960, 1080, 1920), np.zeros((135, 240), bool)
+    cells[:20, :20] = cells[-20:, -20:] = cells[:20, -20:] = True
+    assert len(around(sizes, cells, 44)[0]) == 3
+    assert around(sizes, cells, 44, GPU_FIXED)[0] == [(0, 0, 540, 960)]
 
 
 def test_windows_hold_their_boxes_on_the_grid_or_to_the_frames_end() -> None:

@@ -29,7 +29,9 @@ from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.parts import Layers
 from postfx.passes.denoise.planes import Passthrough, Plain, Planes, Reactive, Restore, Strength
 from postfx.passes.denoise.tiling import (
+    FIXED,
     GAIN,
+    GPU_FIXED,
     Band,
     Rows,
     Shape,
@@ -191,7 +193,7 @@ class Frames:
                  guided: bool = False, reactive: bool = False, layered: bool = False) -> None:
         self._device, self._sizes, self._models = device, sizes, tuple(models)
         self._guided, self._reactive, self._layered = guided, reactive, layered
-        self._halo = halo_of(models)
+        self._halo, self._fixed = halo_of(models), GPU_FIXED if device.gpu else FIXED
         self._graphs: LRUCache[Shape, Graphs] = LRUCache(MOST_GRAPHS)
         self._bands = bands_within(device.scratch, sizes, models)
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
@@ -226,16 +228,17 @@ class Frames:
         """The tiles for a frame's active cells, at least one; None if the whole frame is as fast. Makes the networks
         ready that the tiles need.
         """
-        boxes, shape = around(self._sizes, cells, self._halo)
+        time = partial(cost, fixed=self._fixed)
+        boxes, shape = around(self._sizes, cells, self._halo, self._fixed)
         if self._bands:
             fits = shape[0] <= self._band_shape[0] and shape[1] <= self._band_shape[1]
             return band_of(self._sizes, boxes, self._band_shape, self._halo) if fits else None
-        count, least = len(boxes), cost(shape, len(boxes))
-        if least > GAIN * cost((self._sizes.h, self._sizes.w), 1):
+        count, least = len(boxes), time(shape, len(boxes))
+        if least > GAIN * time((self._sizes.h, self._sizes.w), 1):
             return None
         ready = [one for one in self._graphs
-                 if can_serve(self._sizes, shape, one) and cost(one, count) <= CLOSE * least]
-        shape = min(ready, key=lambda one: cost(one, count)) if ready else self._make(shape)
+                 if can_serve(self._sizes, shape, one) and time(one, count) <= CLOSE * least]
+        shape = min(ready, key=lambda one: time(one, count)) if ready else self._make(shape)
         return band_of(self._sizes, boxes, shape, self._halo)
 
     def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], params: np.ndarray, keep: bool,

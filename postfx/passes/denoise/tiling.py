@@ -182,6 +182,9 @@ COARSE = 4
 FIXED = 10000
 """Least overhead of a window: the time of so many render pixels. samples/window_cost.py measures 11200 for
 model m at 960x540 (7 ms), 23500 for s, and 27500 for m at 1920x1080, where it matters less."""
+GPU_FIXED = 400_000
+"""The same on a GPU, where small kernels wait for each other. An H100 takes 0.23 ms more than in proportion with s, the
+time of 415000 pixels (docs/lab/gpu.md)."""
 
 MOST_BOXES = 6
 GAIN = 0.9
@@ -377,15 +380,15 @@ def _origin(first: int, count: int, size: int, halo: int, grid: int) -> int:
     return min(max(0, first - halo) // grid * grid, last)
 
 
-def cost(shape: Shape, count: int) -> int:
-    """About how long windows take, in render pixels."""
-    return count * (shape[0] * shape[1] + FIXED)
+def cost(shape: Shape, count: int, fixed: int = FIXED) -> int:
+    """About how long windows take, in render pixels; `fixed`: the overhead of each."""
+    return count * (shape[0] * shape[1] + fixed)
 
 
-def around(frame: Sizes, cells: np.ndarray, halo: int) -> tuple[list[Box], Shape]:
+def around(frame: Sizes, cells: np.ndarray, halo: int, fixed: int = FIXED) -> tuple[list[Box], Shape]:
     """The boxes around active cells whose windows take the least time, and the windows' size."""
     found = [(boxes, shape_for(frame, boxes, halo)) for boxes in boxes_of(cells)]
-    return min(found, key=lambda item: cost(item[1], len(item[0])))
+    return min(found, key=lambda item: cost(item[1], len(item[0]), fixed))
 
 
 def grids(frame: Sizes, halo: int) -> Iterator[tuple[Shape, Shape]]:
