@@ -26,6 +26,8 @@ any sign. The torch definition is `training.kernels.tonemap.ConvertPrimaries`.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from postfx.colour import LUMA_REC2020
@@ -162,6 +164,22 @@ APPLY_CUBE = Kernel(
     },
     pixels=(1, 2),
 )
+
+
+def apply_cube_fours_rows(y0: int, y1: int, colour: np.ndarray, params: np.ndarray, matrix: np.ndarray,
+                          cube: np.ndarray, output: np.ndarray) -> None:
+    """What the kernel below computes. Only a GPU runs it."""
+    apply_cube_rows(y0, y1, colour, params, matrix, np.ascontiguousarray(cube[..., :3]), output)
+
+
+APPLY_CUBE_FOURS = replace(APPLY_CUBE, name="apply_cube_fours", rows=apply_cube_fours_rows,
+                           shapes={**APPLY_CUBE.shapes, "cube": ("size", "size", "size", 4)})
+
+
+def form_of(cube: np.ndarray, on_gpu: bool) -> tuple[Kernel, np.ndarray]:
+    """The kernel that looks colours up in a cube (size, size, size, 3), and the cube as it reads it: on a GPU with a
+    number more, so that a colour is read at once."""
+    return (APPLY_CUBE_FOURS, np.pad(cube, ((0, 0), (0, 0), (0, 0), (0, 1)))) if on_gpu else (APPLY_CUBE, cube)
 
 
 STEPS = 4096

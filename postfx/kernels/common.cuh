@@ -286,7 +286,9 @@ __device__ inline Colour shaped(const Shaper& by, const float* colour) {
             fminf(log2_of(light.b * fit + 1.0f) * by.scale, 1.0f)};
 }
 
-// postfx/kernels/colour.py: tetrahedral look-up of a shaped colour, clipped to [0, 1], in a cube (size, size, size, 3).
+// postfx/kernels/colour.py: tetrahedral look-up of a shaped colour, clipped to [0, 1], in a cube (size, size, size, 3), or
+// with fours of NUMBERS, which are read at once.
+template <int NUMBERS = 3>
 __device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
     const int size = cube.size[0], end = size - 2, red = size * size, green = size, blue = 1;
     float r = clamped(shaped.r, 0.0f, 1.0f) * (size - 1), g = clamped(shaped.g, 0.0f, 1.0f) * (size - 1);
@@ -300,15 +302,24 @@ __device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
     const float high = fmaxf(fmaxf(r, g), b), low = fminf(fminf(r, g), b);
     const float middle = fmaxf(fminf(r, g), fminf(fmaxf(r, g), b));
     const int first = i * red + j * green + k * blue, fourth = first + red + green + blue;
-    const float* const corners[4] = {cube.at + 3 * first, cube.at + 3 * (first + step), cube.at + 3 * (fourth - last),
-                                     cube.at + 3 * fourth};
-    const float w0 = 1.0f - high, w1 = high - middle, w2 = middle - low;
-    float found[3];
+    const int corners[4] = {first, first + step, fourth - last, fourth};
+    const float weights[4] = {1.0f - high, high - middle, middle - low, low};
+    Colour found[4];
 #pragma unroll
-    for (int c = 0; c < 3; c++)
-        found[c] = w0 * __ldg(corners[0] + c) + w1 * __ldg(corners[1] + c)
-            + (w2 * __ldg(corners[2] + c) + low * __ldg(corners[3] + c));
-    return {found[0], found[1], found[2]};
+    for (int n = 0; n < 4; n++) {
+        const float* const at = cube.at + NUMBERS * corners[n];
+        if (NUMBERS == 4) {
+            const Four all = four(cube, corners[n]);
+            found[n] = {all.x, all.y, all.z};
+        } else {
+            found[n] = {__ldg(at), __ldg(at + 1), __ldg(at + 2)};
+        }
+    }
+    const auto mixed = [&](float a, float b, float c, float d) {
+        return weights[0] * a + weights[1] * b + (weights[2] * c + weights[3] * d);
+    };
+    return {mixed(found[0].r, found[1].r, found[2].r, found[3].r), mixed(found[0].g, found[1].g, found[2].g, found[3].g),
+            mixed(found[0].b, found[1].b, found[2].b, found[3].b)};
 }
 
 // How much a sample says about an output pixel at a distance in render pixels.

@@ -12,7 +12,7 @@ from postfx.colour.displays import parse_display
 from postfx.colour.views import SCALE, TOE, VIEWS, bake, is_view
 from postfx.errors import ColourError, PassOptionError, suggest
 from postfx.frame import LINEAR, FrameSpec, Role
-from postfx.kernels.colour import APPLY_CUBE, ENCODE_DISPLAY, ROOT, STEPS
+from postfx.kernels.colour import ENCODE_DISPLAY, ROOT, STEPS, form_of
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.registry import create
 from postfx.plan import Skip
@@ -140,12 +140,13 @@ class View(Pass):
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         new = device.heap.tensor
-        self._params, matrix, cube = new("view params", (3,)), new("view matrix", (9,)), new("cube", self._cube.shape)
+        kernel, values = form_of(self._cube, device.gpu is not None)
+        self._params, matrix, cube = new("view params", (3,)), new("view matrix", (9,)), new("cube", values.shape)
         matrix.upload(matrix_between(REC709, self._view.primaries).ravel())
-        cube.upload(self._cube)
+        cube.upload(values)
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
         tensors = {"params": self._params, "matrix": matrix, "cube": cube, "output": self._output}
-        self._table = ArgumentTable(device.compute_state(APPLY_CUBE), tensors)
+        self._table = ArgumentTable(device.compute_state(kernel), tensors)
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:

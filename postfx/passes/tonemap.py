@@ -12,7 +12,7 @@ import numpy as np
 from postfx.errors import PassOptionError
 from postfx.frame import FrameSpec, Role
 from postfx.kernels import Kernel
-from postfx.kernels.colour import APPLY_CUBE
+from postfx.kernels.colour import APPLY_CUBE, form_of
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
@@ -78,7 +78,7 @@ def check_constants(model: str, constants: Mapping[str, np.ndarray], has_grid: b
         raise ModelError(f"model '{model}' is not a look: its card marks {', '.join(sorted(constants)) or 'no output'} "
                          f"as constant, not {', '.join(sorted(wanted))}")
     shape = constants["cube"].shape
-    if len(shape) != 4 or min(shape) < 2:
+    if len(shape) != 4 or min(shape) < 2 or shape[3] != 3:
         raise ModelError(f"model '{model}' is not a look: its cube is {shape}, not (n, n, n, 3) with n of 2 and more")
     if not all((np.abs(values) <= _MOST).all() for values in constants.values()):
         raise ModelError(f"model '{model}' is not a look: it holds NaN or numbers beyond {_MOST:g}")
@@ -146,11 +146,13 @@ class ToneMap(Pass):
         matrix.upload(self._shaper.matrix)
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
         common = {"params": self._params, "matrix": matrix, "output": self._output}
-        common |= {name: device.wrap(name, values) for name, values in network.constants.items()}
+        show, constants = self._kind.show if self._kind else APPLY_CUBE, dict(network.constants)
+        if show is APPLY_CUBE:
+            show, constants["cube"] = form_of(constants["cube"], device.gpu is not None)
+        common |= {name: device.wrap(name, values) for name, values in constants.items()}
+        self._tables = {"show": ArgumentTable(device.compute_state(show), common)}
         if self._kind:
             self._compile_network(device, network, common, self._kind)
-        else:
-            self._tables = {"show": ArgumentTable(device.compute_state(APPLY_CUBE), common)}
         super().compile(device, spec)
 
     def _compile_network(self, device: Device, network: PipelineState, common: Mapping[str, Tensor],
@@ -167,13 +169,12 @@ class ToneMap(Pass):
                          for _ in range(2)]
         for tensor in (*self._history[0], *self._history[1]):
             tensor.fill(0)
-        self._tables = {
+        self._tables |= {
             "lowres": ArgumentTable(device.compute_state(LOWRES), {**shaping, "lowres": lowres}),
             "network": ArgumentTable(network, {"lowres": lowres, kind.made: made}),
             "light": ArgumentTable(device.compute_state(LIGHT), {"lowres": lowres, "light": light}),
             "follow": ArgumentTable(device.compute_state(FOLLOW), {"light": light, "params": self._pace}),
             "hold": ArgumentTable(device.compute_state(kind.hold), holding),
-            "show": ArgumentTable(device.compute_state(kind.show), common),
         }
 
     def reset(self) -> None:

@@ -54,7 +54,7 @@ def test_kernels_in_half_precision_on_a_gpu(kernel: Kernel, compiled: Device) ->
         assert_same(run(kernel, gpu, inputs, case), run(kernel, compiled, inputs, case), f"{case} {bad}")
 
 
-@pytest.mark.parametrize("kernel", tonemap_cases.KERNELS, ids=lambda kernel: kernel.name)
+@pytest.mark.parametrize("kernel", [*tonemap_cases.KERNELS, *tonemap_cases.ON_GPU], ids=lambda kernel: kernel.name)
 def test_kernels_of_the_tone_mapper_compute_what_the_compiled_rows_do(kernel: Kernel) -> None:
     for height, width in tonemap_cases.sizes(kernel):
         inputs = tonemap_cases.arguments(kernel, height, width)

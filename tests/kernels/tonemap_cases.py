@@ -10,12 +10,13 @@ import numpy as np
 from postfx.colour import REC709, REC2020, matrix_between
 from postfx.colour.displays import parse_display
 from postfx.kernels import Kernel
-from postfx.kernels.colour import APPLY_CUBE, CONVERT_PRIMARIES, ENCODE_DISPLAY
+from postfx.kernels.colour import APPLY_CUBE, APPLY_CUBE_FOURS, CONVERT_PRIMARIES, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD, turns
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, GRID, KNOTS, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.passes.display import decoding, encoding, parameters
 
 KERNELS = (SLICE_APPLY, LOWRES, LIGHT, FOLLOW, SMOOTH, EXPOSE, ENCODE_DISPLAY, APPLY_CUBE, CHECKERBOARD)
+ON_GPU = (APPLY_CUBE_FOURS,)
 HLG = parse_display("hlg")
 SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
 SHAPER = (2.0**-8, 1.0 / math.log2(1.0 + 2.0**16))  # toe, and the scale by which 2^8 becomes 1
@@ -126,6 +127,8 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
         "columns": turns(width, 6.5),
         "greys": np.array([0.15, 0.21]),
     }
+    if kernel is APPLY_CUBE_FOURS:
+        values["cube"] = np.pad(values["cube"], ((0, 0), (0, 0), (0, 0), (0, 1)), constant_values=np.nan)
     if kernel is EXPOSE:
         values |= {"previous": np.array([1.9, *SHAPER]), "current": np.array([[-0.7]])}
     if kernel is CONVERT_PRIMARIES:
