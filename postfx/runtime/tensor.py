@@ -329,11 +329,13 @@ class Tensor:
         recorded command or one in flight uses the memory, for it would see the new values.
         """
         source, kind = np.asarray(values), element_type(self.dtype)
-        if source.shape != self.shape or not np.can_cast(source.dtype, kind, "same_kind"):
-            given = f"{source.shape} {source.dtype}"
-            raise BindingError(f"upload of {given} to '{self.name}': the tensor is {self.shape} {self.dtype}")
+        fits = source.dtype == kind
+        if source.shape != self.shape or not (fits or np.can_cast(source.dtype, kind, "same_kind")):
+            raise BindingError(f"upload of {source.shape} {source.dtype} to '{self.name}': the tensor is {self.shape} "
+                               f"{self.dtype}")
         self._check_host_write()
-        contiguous = np.ascontiguousarray(source, kind).reshape(self.shape)
+        given = fits and source.flags.c_contiguous
+        contiguous = source if given else np.ascontiguousarray(source, kind).reshape(self.shape)
         if not self.contiguous:
             self.host_view()[...] = contiguous
         elif contiguous.nbytes:
