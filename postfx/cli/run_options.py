@@ -90,7 +90,7 @@ FILES_WRITTEN = Section("files that are written", (
            "position), PNG 8 (default) or 16 (default in HDR), TIFF 8 or 16 (default)"),
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
            help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab or, with a level, "
-           "dwaa:45 (default: zip, the fastest; the last five lose a little)"),
+           "dwaa:45 (default: zip, the fastest that shrinks; the last five lose a little)"),
 ))
 
 

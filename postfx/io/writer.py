@@ -110,7 +110,7 @@ def write_frame(
         bits: EXR 16 (half floats, default) or 32 (floats, default beside parts that are distances or places); PNG and
             TIFF 8 or 16 (default: PNG 8, but 16 for HDR displays; TIFF 16); JPEG 8.
         compression: of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa or dwab, the last two with a level
-            as in 'dwaa:45'. ZIP is the fastest, pxr24 (floats), b44 and dwa lose a little.
+            as in 'dwaa:45'. ZIP is the fastest that shrinks, pxr24 (floats), b44 and dwa lose a little.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot
     hold such a picture, ReadError when what is kept cannot be read.
