@@ -15,8 +15,10 @@ from postfx.kernels.statistics import (
     block_means,
     coverage_noise,
     half_means,
+    is_blank,
     largest_bits,
     lend,
+    limit_depths,
     mark_positive,
     mix_places,
     moments,
@@ -187,3 +189,23 @@ def test_coverage_noise_is_the_share_of_pixels_unlike_their_neighbours() -> None
         assert coverage_noise(spotted, 1e9) == pytest.approx(50 / (19 * 58))
     white = np.where(np.random.default_rng(1).random((200, 200)) < 0.5, np.float32(3), np.float32(0))
     assert coverage_noise(white, 1e9) == pytest.approx(5 / 16, abs=0.01)
+
+
+@pytest.mark.parametrize("place", [None, 0, 4095, 4096, 9999])
+@pytest.mark.parametrize("value", [1e-45, -1.0, np.nan])
+def test_a_plane_is_blank_without_any_number_but_zeros(place, value):
+    plane = np.full(10000, -0.0, np.float32)
+    if place is not None:
+        plane[place] = value
+    assert is_blank(plane.view(np.uint32)) == (place is None)
+
+
+@pytest.mark.parametrize("missed", [0, 0.3, 1])
+def test_misses_lie_twice_as_far_as_the_farthest_hit(missed):
+    depth = RANDOM.normal(3, 4, 200)
+    depth[RANDOM.random(200) < missed] = 1e10
+    depth[::17] = np.nan
+    hit = depth < 1e9
+    wanted = np.where(hit, np.maximum(depth, 1e-6), 2 * depth[hit].max(initial=1e-6))
+    limit_depths(depth, 1e9, 1e-6)
+    np.testing.assert_array_equal(depth, wanted)
