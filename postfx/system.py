@@ -17,6 +17,7 @@ import re
 import stat
 import sys
 import tempfile
+import threading
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -213,6 +214,7 @@ class Scratch:
         self.budget = parse_size(budget)
         self.left = max(self.budget - PROCESS, self.budget // LEAST)
         self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+        self._lock = threading.Lock()  # one thread reads, another writes
 
     def empty(self, shape: tuple[int, ...], dtype: np.typing.DTypeLike = "float32") -> np.ndarray:
         """An array of any content, in a temporary file if it is large."""
@@ -229,13 +231,16 @@ class Scratch:
                 found = mmap.mmap(file.fileno(), nbytes)
         except OSError as error:
             raise MemoryBudgetError(_explain_refusal(error, nbytes)) from error
-        self._maps.add(found)
+        with self._lock:
+            self._maps.add(found)
         return found
 
     def relax(self) -> None:
         """Release the pages that were read, where the system can be told so; their content stays in the files."""
         if hasattr(mmap, "MADV_DONTNEED"):
-            for each in list(self._maps):
+            with self._lock:
+                held = list(self._maps)
+            for each in held:
                 each.madvise(mmap.MADV_DONTNEED)
 
     def pieces(self, rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
