@@ -57,7 +57,8 @@ class ConvertPrimaries(nn.Module):
     """colour (H,W,3), matrix (9,) -> output (H,W,3)."""
 
     def forward(self, colour: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
-        return colour @ matrix.view(3, 3).T
+        # A matrix product would be rounded to TF32 on a GPU.
+        return (colour[:, :, None, :] * matrix.view(3, 3)).sum(-1)
 
 
 class Lowres(nn.Module):
