@@ -8,7 +8,6 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future
 from concurrent.futures import wait as wait_for_futures
 from contextlib import contextmanager
 from itertools import groupby
-from operator import attrgetter
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from postfx.errors import CommandError, EncodingError
@@ -229,7 +228,8 @@ class CommandBuffer:
 
     @property
     def timings(self) -> list[tuple[str, float]]:
-        """(label, milliseconds) of every encoder that ran, in order; complete after `wait`."""
+        """(label, milliseconds) of every encoder that ran, in order; complete after `wait`. Where the commands ran as
+        one CUDA graph, those of a group are one, 'GROUP/*'."""
         return list(self._timings.values())
 
     def footprint(self) -> Footprint:
@@ -376,13 +376,18 @@ class Execution:
                 return [Span(dispatch.encoder, dispatch.label, *fork.run(index, _work(dispatch)))
                         for index, dispatch in enumerate(dispatches)]
         spans, begin = [], self._memory.mark()
-        for encoder, group in groupby(dispatches, attrgetter("encoder")):
+        for (label, _), group in groupby(dispatches, self._measured_with):
             for dispatch in group:
                 _work(dispatch)()
             end = self._memory.mark()  # where the next one begins: a mark takes a GPU as long as a small kernel
-            spans.append(Span(encoder, dispatch.label, begin, end))
+            spans.append(Span(dispatch.encoder, label, begin, end))
             begin = end
         return spans
+
+    def _measured_with(self, dispatch: Dispatch) -> tuple[str, int]:
+        """Label and number of what is measured together: an encoder; on a GPU all of a group, without number."""
+        group = dispatch.label.rpartition("/")[0]
+        return (f"{group}/*", -1) if group and self._memory.replays else (dispatch.label, dispatch.encoder)
 
     def _one_by_one(self) -> list[Span]:
         spans: list[Span] = []

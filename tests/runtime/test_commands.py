@@ -149,6 +149,23 @@ def test_timings_per_encoder_with_groups(device):
     assert min(fastest) < 20
 
 
+def test_a_group_is_measured_at_once_where_commands_are_one_graph(device, monkeypatch):
+    monkeypatch.setattr(device.memory, "replays", True)
+    monkeypatch.setattr(device.memory, "replay", lambda key, kept, enqueue: enqueue(), raising=False)
+    a, b = (device.heap.tensor(name, (8,)) for name in "ab")
+    a.fill(1.0)
+    commands, copied = device.command_buffer("frame"), kernel_state(device, copy_rows)
+    monkeypatch.setattr(copied, "capturable", True)
+    for group, names in (("one", "xy"), ("two", "z")):
+        for name in names:
+            with commands.group(group), commands.compute_encoder(name) as encoder:
+                encoder.barrier(after="compute", before="compute")
+                encoder.dispatch(copied, ArgumentTable(copied, {"a": a, "b": b}))
+    commands.commit()
+    commands.wait(60)
+    assert [label for label, _ in commands.timings] == ["one/*", "two/*"]
+
+
 def test_nothing_is_recorded_after_commit(device):
     commands, _ = one_dispatch(device, copy_rows)
     commands.commit()
