@@ -244,23 +244,23 @@ __device__ inline void filter_level(const View& coarse, const View& level, const
     });
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 4) denoise_filter(View mixed, View heads, View area,
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter(View mixed, View heads, View area,
                                                                       View filtered) {
     filter_level<float, false>({}, mixed, heads, {}, {}, area, filtered);
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 4) denoise_filter_half(View mixed, View heads, View area,
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_half(View mixed, View heads, View area,
                                                                            View filtered) {
     filter_level<Half, false>({}, mixed, heads, {}, {}, area, filtered);
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 4) denoise_filter_mixed(View coarse, View level, View heads,
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_mixed(View coarse, View level, View heads,
                                                                             View rows, View columns, View area,
                                                                             View filtered) {
     filter_level<float, true>(coarse, level, heads, rows, columns, area, filtered);
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 4) denoise_filter_mixed_half(View coarse, View level, View heads,
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_mixed_half(View coarse, View level, View heads,
                                                                                  View rows, View columns, View area,
                                                                                  View filtered) {
     filter_level<Half, true>(coarse, level, heads, rows, columns, area, filtered);
@@ -288,13 +288,13 @@ __device__ inline void filter_shaded(const View& coarse, const View& level, cons
     });
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 4) denoise_filter_shaded(View coarse, View level, View heads,
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_shaded(View coarse, View level, View heads,
                                                                              View rows, View columns, View area,
                                                                              View factor, View radiance) {
     filter_shaded<float>(coarse, level, heads, rows, columns, area, factor, radiance);
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 4) denoise_filter_shaded_half(View coarse, View level, View heads,
+extern "C" __global__ void __launch_bounds__(BLOCK, 3) denoise_filter_shaded_half(View coarse, View level, View heads,
                                                                                   View rows, View columns, View area,
                                                                                   View factor, View radiance) {
     filter_shaded<Half>(coarse, level, heads, rows, columns, area, factor, radiance);

@@ -45,6 +45,7 @@ class Resampler:
         self._size, self._out_size, self._nearest = size, out_size, role is Role.DEPTH
         new = device.heap.tensor
         self._rows, self._columns = new(f"{name} rows", out_size[:1]), new(f"{name} columns", out_size[1:])
+        self._aimed: tuple[tuple[float, float], tuple[float, float]] | None = None
         self.output = device.heap.transient(name, (*out_size, ROLES[role].channels))
         kernel = ENLARGE if role is Role.OVERLAY else RESAMPLE
         self._table = ArgumentTable(device.compute_state(kernel), {"columns": self._columns})
@@ -63,11 +64,14 @@ class Resampler:
 
     def aim(self, jitter: tuple[float, float], out_jitter: tuple[float, float] = (0.0, 0.0)) -> None:
         """Once a frame: its images have samples at these places."""
+        if (jitter, out_jitter) == self._aimed:
+            return
         for axis, tensor in enumerate((self._rows, self._columns)):
             size, out_size = self._size[axis], self._out_size[axis]
             shift = jitter[1 - axis] - out_jitter[1 - axis] * size / out_size
             at = positions(size, out_size, shift)
             tensor.upload(np.rint(at) if self._nearest else at)
+        self._aimed = jitter, out_jitter
 
     def run(self, encoder: ComputeEncoder, image: Tensor, parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
         """Record the work for an image, of several that are sampled at the same places."""
