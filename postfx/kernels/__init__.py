@@ -155,7 +155,7 @@ def read_source(family: Path) -> str:
 @cache
 def convolution_source(warpgroups: bool) -> str:
     """What is compiled before the kernels of a network's layers."""
-    source = "".join((SHARED / name).read_text() for name in ("common.cuh", "convolution.cuh"))
+    source = "".join((SHARED / name).read_text() for name in ("common.cuh", "products.cuh", "convolution.cuh"))
     constants = print_constants(constants_of(SHARED / "denoise" / "network_io.cu", source))
     return "#define WARPGROUPS\n" * warpgroups + (SHARED / "view.cuh").read_text() + constants + source
 

@@ -1,154 +1,11 @@
 // Convolutions of a network in half precision, channels last, as products on tensor cores: see
 // postfx/runtime/convolutions.py, which appends a kernel for each kind of layer that a network has.
 //
-// A block of threads keeps all weights of its N channels in shared memory. It is a few groups of four warps, each of
-// which takes squares of 8x8 pixels one after the other for itself: it multiplies the square's pixels by all weights at
-// one go, and writes the results from its registers while the next pixels come. Nothing but its own copies holds a
-// group up, and meanwhile the others multiply. A square lies in shared memory with its border, by 8 channels; a tap's
-// products begin at another pixel of it, so nothing is copied for them.
-//
-// WARPGROUPS is defined where the warps of a group multiply together (compute capability 9.0).
-
-typedef unsigned Two;  // numbers in half precision
-
-const int SQUARE = 8, GROUP = 128;
-
-struct alignas(16) Eight {
-    Two at[4];
-};
-
-#ifdef __CUDACC_RTC__
-__device__ inline unsigned shared_at(const void* at) {
-    return unsigned(__cvta_generic_to_shared(at));
-}
-
-// Begin to copy 16 bytes into the shared memory, zeros where there is nothing.
-__device__ inline void copy_eight(char* to, const char* from, bool there) {
-    asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;" ::"r"(shared_at(to)), "l"(from), "r"(there ? 16 : 0)
-                 : "memory");
-}
-
-__device__ inline void wait_for_copies() {
-    asm volatile("cp.async.wait_all;" ::: "memory");
-}
-
-__device__ inline void meet_group(int group) {
-    asm volatile("bar.sync %0, %1;" ::"r"(group + 1), "n"(GROUP) : "memory");
-}
-
-__device__ inline Two from_lane(Two value, int mask) {
-    return __shfl_xor_sync(~0u, value, mask);
-}
-
-// Four matrices of 8x8 halves; each thread says where one row begins.
-__device__ inline void load_matrices(Two (&to)[4], const char* row) {
-    asm volatile("ldmatrix.sync.aligned.m8n8.x4.shared.b16 {%0, %1, %2, %3}, [%4];"
-                 : "=r"(to[0]), "=r"(to[1]), "=r"(to[2]), "=r"(to[3])
-                 : "r"(shared_at(row))
-                 : "memory");
-}
-
-// sums += left (16x16) * right (16x8) of a warp, added in single precision.
-__device__ inline void add_product(float* sums, const Two (&left)[4], Two upper, Two lower) {
-    asm volatile("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, "
-                 "{%0, %1, %2, %3};"
-                 : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])
-                 : "r"(left[0]), "r"(left[1]), "r"(left[2]), "r"(left[3]), "r"(upper), "r"(lower));
-}
-
-__device__ inline float power_of_two(float x) {
-    float y;
-    asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
-    return y;
-}
-
-__device__ inline float inverse(float x) {
-    float y;
-    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
-    return y;
-}
-
-__device__ inline Two rounded(float first, float second) {
-    Two both;
-    asm("cvt.rn.f16x2.f32 %0, %1, %2;" : "=r"(both) : "f"(second), "f"(first));
-    return both;
-}
-
-__device__ inline Two sum(Two a, Two b) {
-    Two both;
-    asm("add.rn.f16x2 %0, %1, %2;" : "=r"(both) : "r"(a), "r"(b));
-    return both;
-}
-
-__device__ inline Two larger(Two a, Two b) {
-    Two both;
-    asm("max.f16x2 %0, %1, %2;" : "=r"(both) : "r"(a), "r"(b));
-    return both;
-}
-
-#ifdef WARPGROUPS
-// Matrices of 8x8 halves in shared memory, 16 bytes a row: how far they are apart along the sum, and across.
-typedef unsigned long long Matrices;
-
-__device__ inline Matrices matrices(const char* at, int along, int across) {
-    return Matrices(shared_at(at) >> 4 & 0x3fff) | Matrices(along >> 4) << 16 | Matrices(across >> 4) << 32;
-}
-
-// sums += left (64x16) * right (16 x 2 COUNT) of a group: see `multiply_source` of postfx/runtime/convolutions.py.
-template <int COUNT>
-__device__ void multiply(float (&sums)[COUNT], Matrices left, Matrices right);
-
-// What this thread has put into shared memory is there for products.
-__device__ inline void show_to_products() {
-    asm volatile("fence.proxy.async.shared::cta;" ::: "memory");
-}
-
-__device__ inline void begin_products() {
-    asm volatile("wgmma.fence.sync.aligned;" ::: "memory");
-}
-
-template <int COUNT>
-__device__ inline void end_products(float (&sums)[COUNT]) {
-    asm volatile("wgmma.commit_group.sync.aligned;\nwgmma.wait_group.sync.aligned 0;" ::: "memory");
-#pragma unroll
-    for (int i = 0; i < COUNT; i++) asm volatile("" : "+f"(sums[i])::"memory");  // they are not read before
-}
-#endif
-#endif
-
-#ifndef WARPGROUPS
-struct Matrices {
-    const char* at;
-    int along, across;
-};
-
-__device__ inline Matrices matrices(const char* at, int along, int across) {
-    return {at, along, across};
-}
-
-// sums += left (64x16) * right (16 x 2 COUNT) of a group: each warp has 16 rows, in the layout that warpgroups have.
-template <int COUNT>
-__device__ inline void multiply(float (&sums)[COUNT], Matrices left, Matrices right) {
-    const int warp = threadIdx.x % GROUP / 32, lane = threadIdx.x % 32;
-    Two a[4], b[4];
-    load_matrices(a, left.at + (2 * warp + lane / 8 % 2) * left.across + lane % 8 * 16 + lane / 16 * left.along);
-#pragma unroll
-    for (int i = 0; i < COUNT; i += 8) {
-        load_matrices(b, right.at + (2 * i + lane / 16 * 8 + lane % 8) * 16 + lane / 8 % 2 * right.along);
-        add_product(sums + i, a, b[0], b[1]);
-        add_product(sums + i + 4, a, b[2], b[3]);
-    }
-}
-
-__device__ inline void show_to_products() {}
-__device__ inline void begin_products() {}
-template <int COUNT>
-__device__ inline void end_products(float (&)[COUNT]) {}
-#endif
-
-#ifdef __CUDACC_RTC__
-#define SHARED_MEMORY extern __shared__ __align__(128) char shared[]
-#endif
+// A block of threads keeps all weights of its N channels in shared memory, or the parts that come next. It is a few
+// groups of four warps, each of which takes squares of 8x8 pixels one after the other for itself: it multiplies the
+// square's pixels by all weights at one go, and writes the results from its registers while the next pixels come.
+// Meanwhile the others multiply. A square lies in shared memory with its border, by 8 channels; a tap's products begin
+// at another pixel of it, so nothing is copied for them.
 
 __device__ inline const Eight* eights(const View& view) {
     return reinterpret_cast<const Eight*>(view.at);
@@ -162,16 +19,22 @@ __device__ inline Eight larger(const Eight& a, const Eight& b) {
     return {{larger(a.at[0], b.at[0]), larger(a.at[1], b.at[1]), larger(a.at[2], b.at[2]), larger(a.at[3], b.at[3])}};
 }
 
-// A square of the picture, by its number.
+// 64 pixels of the picture by their number: 8x8, or WIDE ones 32x2.
+template <bool WIDE>
 struct Square {
+    static constexpr int ACROSS = WIDE ? 32 : 8, DOWN = 64 / ACROSS;
     int number, wide, all, height, width;
 
+    __device__ inline Square(int number, int height, int width)
+        : number(number), wide((width + ACROSS - 1) / ACROSS), all(wide * ((height + DOWN - 1) / DOWN)), height(height),
+          width(width) {}
+
     __device__ inline int row() const {
-        return number / wide * SQUARE;
+        return number / wide * DOWN;
     }
 
     __device__ inline int column() const {
-        return number % wide * SQUARE;
+        return number % wide * ACROSS;
     }
 
     __device__ inline bool holds(int y, int x) const {
@@ -181,7 +44,7 @@ struct Square {
 
 // Pixels along a side of a square with its border, and bytes of 8 channels of all of them: no bank twice at a time.
 __device__ constexpr int side_of(int taps) {
-    return SQUARE + taps - 1;
+    return 8 + taps - 1;
 }
 
 __device__ constexpr int pitch_of(int taps) {
@@ -190,9 +53,10 @@ __device__ constexpr int pitch_of(int taps) {
 
 // Begin to copy a square with its border into shared memory, by 8 channels; a group does it together. Sums with what is
 // enlarged are there at the end, a few of which are on their way at a time.
-template <int TAPS, bool CELLS, bool COARSE, int CHUNKS>
-__device__ inline void fill(char* left, int thread, const Square& square, const View& input, const View& coarse) {
-    constexpr int SIDE = side_of(TAPS), BEFORE = TAPS == 3, EACH = CHUNKS / 4, ALL = SIDE * SIDE * CHUNKS, MANY = 3;
+template <int TAPS, bool CELLS, bool COARSE, int CHUNKS, bool WIDE>
+__device__ inline void fill(char* left, int thread, const Square<WIDE>& square, const View& input, const View& coarse) {
+    constexpr int SIDE = WIDE ? Square<WIDE>::ACROSS : side_of(TAPS), BEFORE = TAPS == 3, EACH = CHUNKS / 4, MANY = 3;
+    constexpr int ALL = side_of(TAPS) * side_of(TAPS) * CHUNKS;
     const Eight* const pixels = eights(input);
     auto place = [&](int i) { return left + i % CHUNKS * pitch_of(TAPS) + 16 * (i / CHUNKS); };
     if constexpr (!COARSE) {
@@ -249,16 +113,47 @@ __device__ inline Eight whole_eight(const Two (&parts)[4], int q) {
     return late ? Eight{{first, second, low[1], high[1]}} : Eight{{low[0], high[0], first, second}};
 }
 
-// The activation of a logit: weight_of and gate_of of common.cuh and tanh, as exact as half precision. The channel is
-// one of the eight from `first` on, so it is mostly known when compiled which one.
-template <int SHARES, int STATES>
-__device__ inline float activated(float logit, int first, int channel) {
+// The activation of a logit, a sum and an offset: weight_of and gate_of of common.cuh and tanh, as exact as half
+// precision. The channel is one of the eight from FIRST on, so it is mostly known when compiled which one.
+template <int FIRST, int SHARES, int STATES>
+__device__ inline float activated(float sum, float offset, int channel) {
     const float to_two = 1.44269504f;  // exp(x) is 2 to the power of x * to_two
-    if (first + 8 <= SHARES || (first < SHARES && channel < SHARES))
-        return power_of_two(fminf(fmaxf(logit, -STEEPEST), STEEPEST) * to_two);
-    if (first + 8 <= STATES || (first < STATES && channel < STATES))
-        return inverse(1.0f + power_of_two(-logit * to_two));
-    return 2.0f * inverse(1.0f + power_of_two(-2.0f * logit * to_two)) - 1.0f;
+    if (FIRST + 8 <= SHARES || (FIRST < SHARES && channel < SHARES)) {
+        const float range = 2.0f * STEEPEST, scale = 1.0f / range;  // from -STEEPEST to STEEPEST as 0 to 1
+        return power_of_two(saturated(sum * scale + (offset * scale + 0.5f)) * (range * to_two) - STEEPEST * to_two);
+    }
+    if (FIRST + 8 <= STATES || (FIRST < STATES && channel < STATES))
+        return inverse(1.0f + power_of_two(sum * -to_two - offset * to_two));
+    return 2.0f * inverse(1.0f + power_of_two(sum * (-2.0f * to_two) - offset * (2.0f * to_two))) - 1.0f;
+}
+
+// Write a thread's EIGHTS of planes from the FIRST on after their activations: of two pixels, `apart`, that are there,
+// and with OUT 2 of each its left and right part, which are RIGHT eights apart.
+template <int FIRST, int EIGHTS, int OUT, int RIGHT, int PLANES, int SHARES, int STATES, int COUNT>
+__device__ inline void write_planes(const float (&sums)[COUNT], const Pair* offsets, Half* to, size_t plane, int apart,
+                                    const bool (&there)[2]) {
+    const int q = threadIdx.x % 4, own = 2 * q;
+    if constexpr (EIGHTS > 0 && FIRST < PLANES) {
+        constexpr int AT = COUNT - 4 * (EIGHTS + RIGHT);  // its sums
+        const Pair one = offsets[0], two = offsets[4 * RIGHT];
+#pragma unroll
+        for (int i = 0; i < 4; i++) {
+            const int e = i % 2, channel = FIRST + own + e;
+            Half* const place = to + e * plane + i / 2 * apart;
+            const bool writes = there[i / 2] && (FIRST + 8 <= PLANES || channel < PLANES);
+            const float left = activated<FIRST, SHARES, STATES>(sums[AT + i], e ? one.y : one.x, channel);
+            if constexpr (OUT == 1) {
+                if (writes) *place = to_half(left);
+            } else {
+                const float beside = sums[AT + 4 * RIGHT + i];
+                const float right = activated<FIRST, SHARES, STATES>(beside, e ? two.y : two.x, channel);
+                const Two both = rounded(left, right);
+                if (writes) *reinterpret_cast<Two*>(place) = both;
+            }
+        }
+        write_planes<FIRST + 8, EIGHTS - 1, OUT, RIGHT, PLANES, SHARES, STATES>(sums, offsets + 4, to + 8 * plane,
+                                                                                plane, apart, there);
+    }
 }
 
 // A convolution of TAPS x TAPS pixels of `input` (1, h, w, C); or, with CELLS, of cells of 2x2 pixels of (1, 2 h, 2 w,
@@ -268,72 +163,121 @@ __device__ inline float activated(float logit, int first, int channel) {
 // the largest of 2x2 pixels (1, h / 2, w / 2, channels), or the channels from the `split`-th on.
 //
 // If OUT is not 0, `output` is planes after their activations (1, PLANES, OUT * h, OUT * w): first SHARES weights, then
-// shares before STATES, then states. With OUT 2 a pixel's four parts are one after the other, top left first, and a
-// tile has those of a row. With OUT 1 the planes are in the first tile.
-template <int TAPS, bool CELLS, bool COARSE, int C, int N, int OUT, int PLANES, int SHARES, int STATES>
+// shares before STATES, then states. With OUT 2 a tile has all planes of the two pixels of a row, or half of them, one
+// after the other, the upper row's tiles first. With OUT 1 the planes are in the first tile.
+//
+// With SLOTS the weights do not stay in shared memory: half a tap's lies in each of so many slots, and the last warp
+// that is through with it fills it anew. So all groups of a block go through the weights side by side.
+template <int TAPS, bool CELLS, bool COARSE, int C, int N, int SLOTS, int OUT, int PLANES, int SHARES, int STATES>
 __device__ inline void convolve(const View& input, const View& coarse, const View& weights, const View& bias,
                                 const View& added, const View& output, const View& second, const Options& options) {
     SHARED_MEMORY;
     constexpr int CHUNKS = C / 8, SIDE = side_of(TAPS), PITCH = pitch_of(TAPS), WEIGHTS = TAPS * TAPS * C * N * 2;
+    constexpr int PART = CHUNKS / 2 * N * 16, PARTS = 2 * TAPS * TAPS, HELD = SLOTS ? SLOTS * PART : WEIGHTS;
+    constexpr int RING = SLOTS ? SLOTS : 1;
+    // While products of a wide tile run, the next factors come; with narrow ones, other groups multiply then.
+    constexpr bool EARLY = N > 96;
+    constexpr int ALL = CHUNKS / 2, SOME = ALL % 5 == 0 ? 5 : ALL % 4 == 0 ? 4 : ALL == 6 && N == 32 ? 3 : ALL;
+    constexpr int AT_ONCE = EARLY ? 1 : SLOTS ? CHUNKS / 4 : SOME, STEPS = ALL / AT_ONCE;
     const int tiles = options.tiles, blocks = gridDim.x / tiles, tile = blockIdx.x % tiles, groups = blockDim.x / GROUP;
     const int group = threadIdx.x / GROUP, thread = threadIdx.x % GROUP;
     const int warp = thread / 32, lane = thread % 32, q = lane % 4;
-    const int wide = (options.width + SQUARE - 1) / SQUARE, high = (options.height + SQUARE - 1) / SQUARE;
-    Square square = {group * blocks + int(blockIdx.x) / tiles, wide, wide * high, options.height, options.width};
-    char* const left = shared + WEIGHTS + group * CHUNKS * PITCH;
+    const int block = blockIdx.x / tiles, apart = blocks * groups;
+    Square<OUT != 0> square(group * blocks + block, options.height, options.width);
+    char* const left = shared + HELD + group * CHUNKS * PITCH;
     const char* const factors = reinterpret_cast<const char*>(weights.at) + size_t(tile) * WEIGHTS;
-    for (int i = 16 * threadIdx.x; i < WEIGHTS; i += 16 * blockDim.x) copy_eight(shared + i, factors + i, true);
+    Slot* const slots = reinterpret_cast<Slot*>(shared + HELD + groups * CHUNKS * PITCH);
+    const int parts = (square.all - block + apart - 1) / apart * PARTS;  // that go through the slots
+    int part = 0;
+    if (SLOTS && threadIdx.x == 0)
+        for (int i = 0; i < SLOTS; i++) {
+            empty(slots[i]);
+            fill_slot(slots[i], shared + i * PART, factors + i * PART, PART);
+        }
+    if (!SLOTS)
+        for (int i = 16 * threadIdx.x; i < WEIGHTS; i += 16 * blockDim.x) copy_eight(shared + i, factors + i, true);
     fill<TAPS, CELLS, COARSE, CHUNKS>(left, thread, square, input, coarse);
     wait_for_copies();
     show_to_products();
     __syncthreads();
+    auto release = [&](int part) {
+        if (lane || !leave_slot(slots[part % RING], 4 * groups) || part + SLOTS >= parts) return;
+        const int next = part + SLOTS;
+        fill_slot(slots[part % RING], shared + part % RING * PART, factors + next % PARTS * PART, PART);
+    };
     const int begin = tile * N, split = options.split;
-    while (square.number < square.all) {
+    // In their first round groups multiply one after the other, so that from then on some multiply while others wait.
+    bool first = !SLOTS && square.all > 2 * apart;
+    while ((SLOTS ? square.number - group * blocks : square.number) < square.all) {
         float sums[N / 2];
 #pragma unroll
         for (int i = 0; i < N / 2; i++) sums[i] = 0.0f;
-        begin_products();
-        for (int tap = 0; tap < TAPS * TAPS; tap++) {
-            const char* const pixels = left + 16 * (tap / TAPS * SIDE + tap % TAPS);
-            const char* const now = shared + tap * CHUNKS * N * 16;
+        // A warp has 16 pixels.
+        Two own[EARLY ? 2 : 1][AT_ONCE][4];
+        auto load = [&](Two (&to)[AT_ONCE][4], int tap, int step) {
+            const int pixel = (2 * warp + lane / 8 % 2 + tap / TAPS) * SIDE + lane % 8 + tap % TAPS;
+            const char* const pixels = left + 16 * pixel + (2 * step * AT_ONCE + lane / 16) * PITCH;
 #pragma unroll
-            for (int k = 0; k < CHUNKS; k += 2)
-                multiply(sums, matrices(pixels + k * PITCH, PITCH, 16 * SIDE), matrices(now + k * N * 16, N * 16, 128));
+            for (int k = 0; k < AT_ONCE; k++) load_matrices(to[k], pixels + 2 * k * PITCH);
+        };
+        if (first && group) take_turn(group);
+        if (EARLY) load(own[0], 0, 0);
+#pragma unroll 1
+        for (int tap = 0; tap < TAPS * TAPS; tap++) {
+#pragma unroll
+            for (int step = 0; step < STEPS; step++) {
+                constexpr int HALF = SLOTS ? STEPS / 2 : 1;  // steps that share a part of the weights
+                const bool enters = SLOTS && step % HALF == 0, leaves = SLOTS && step % HALF == HALF - 1;
+                const int now = EARLY ? step % 2 : 0;
+                if (!EARLY) load(own[0], tap, step);
+                if (enters) wait_for_slot(slots[part % RING], part / RING);
+                const char* const right = SLOTS ? shared + part % RING * PART + step % HALF * AT_ONCE * N * 32
+                                                : shared + (tap * STEPS + step) * AT_ONCE * N * 32;
+                begin_products();
+#pragma unroll
+                for (int k = 0; k < AT_ONCE; k++)
+                    multiply(sums, own[now][k], matrices(right + k * N * 32, N * 16, 128));
+                if (EARLY) {
+                    end_products_before(own[1 - now]);
+                    if (enters && tap + step) release(part - 1);
+                    if (step + 1 < STEPS) load(own[1 - now], tap, step + 1);
+                    else if (tap + 1 < TAPS * TAPS) load(own[1 - now], tap + 1, 0);
+                } else {
+                    end_products(sums, own[0]);
+                    if (leaves) release(part);
+                }
+                if (leaves) part++;
+            }
         }
-        end_products(sums);
-        const Square done = square;
-        square.number += blocks * groups;
+        if (EARLY) {
+            end_products(sums, own[0]);
+            if (SLOTS) release(part - 1);
+        }
+        if (first && group + 1 < groups && square.number + blocks < square.all) give_turn(group);
+        first = false;
+        const auto done = square;
+        square.number += apart;
         meet_group(group);
         if (square.number < square.all) fill<TAPS, CELLS, COARSE, CHUNKS>(left, thread, square, input, coarse);
 
-        // A lane has channels 2 q and 2 q + 1 of each eight, of two pixels one below the other.
-        const int x = done.column() + lane / 4, y = done.row() + 2 * warp;
-        const bool there[2] = {done.holds(y, x), done.holds(y + 1, x)};
+        // A lane has channels 2 q and 2 q + 1 of each eight, of two pixels one below the other, or of a row, 8 apart.
+        constexpr int ASIDE = OUT ? 8 : 0, BELOW = OUT ? 0 : 1;
+        const int x = done.column() + lane / 4 + (OUT ? warp % 2 * 16 : 0);
+        const int y = done.row() + (OUT ? warp / 2 : 2 * warp);
+        const bool there[2] = {done.holds(y, x), done.holds(y + BELOW, x + ASIDE)};
         const Pair* const offsets = reinterpret_cast<const Pair*>(bias.at) + begin / 2 + q;
         if constexpr (OUT > 0) {
             constexpr int RIGHT = OUT == 2 ? N / 16 : 0;  // eights from a pixel of a row to the next
-            const int across = OUT * done.width;
-            const size_t plane = size_t(across) * OUT * done.height;
-            const int row = OUT * y + (OUT == 2 ? tile : 0);
-            Half* const to = reinterpret_cast<Half*>(output.at) + size_t(row) * across + OUT * x;
-#pragma unroll
-            for (int n = 0; n < N / 8 / OUT && 8 * n < PLANES; n++) {
-                const Pair one = offsets[4 * n], two = offsets[4 * (n + RIGHT)];
-#pragma unroll
-                for (int i = 0; i < 4; i++) {
-                    const int e = i % 2, channel = 8 * n + 2 * q + e;
-                    if (!there[i / 2] || channel >= PLANES || (OUT == 1 && tile)) continue;
-                    Half* const place = to + channel * plane + size_t(OUT * (i / 2)) * across;
-                    const float left = activated<SHARES, STATES>(sums[4 * n + i] + (e ? one.y : one.x), 8 * n, channel);
-                    if (OUT == 1) {
-                        *place = to_half(left);
-                        continue;
-                    }
-                    const float logit = sums[4 * (n + RIGHT) + i] + (e ? two.y : two.x);
-                    const float right = activated<SHARES, STATES>(logit, 8 * n, channel);
-                    *reinterpret_cast<Two*>(place) = rounded(left, right);
-                }
-            }
+            constexpr int EIGHTS = N / 8 - RIGHT, SHARED = OUT == 2 ? 2 * PLANES / N : 1;  // tiles that share a row
+            static_assert(SHARED <= 2, "a tile has half of a row's planes at least");
+            const int across = OUT * done.width, row = OUT * y + (OUT == 2 ? tile / SHARED : 0), apart = OUT * ASIDE;
+            const bool later = SHARED == 2 && tile % 2;
+            const size_t plane = size_t(across) * OUT * done.height, at = size_t(row) * across + OUT * x;
+            Half* const to = reinterpret_cast<Half*>(output.at) + (later * (N / 2) + 2 * q) * plane + at;
+            if (later)
+                write_planes<N / 2, EIGHTS, OUT, RIGHT, PLANES, SHARES, STATES>(sums, offsets, to, plane, apart, there);
+            else if (OUT == 2 || tile == 0)
+                write_planes<0, EIGHTS, OUT, RIGHT, PLANES, SHARES, STATES>(sums, offsets, to, plane, apart, there);
         }
         if constexpr (OUT < 2) {
             Two results[2][N / 8];
@@ -362,7 +306,7 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
 #pragma unroll
                     for (int i = 0; i < 4; i++) parts[i] = n + i < N / 8 ? results[k][n + i] : 0;
                     const Eight value = whole_eight(parts, q);
-                    const size_t at = size_t(y + k) * done.width + x;
+                    const size_t at = size_t(y + BELOW * k) * done.width + x + ASIDE * k;
                     if (!own[k]) continue;
                     if (split && eight >= all) others[at * rest + eight - all] = value;
                     else if (!OUT) to[at * all + eight] = value;
@@ -380,7 +324,6 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
             }
         }
         wait_for_copies();
-        show_to_products();
         meet_group(group);
     }
 }

@@ -24,6 +24,22 @@ static void meet_group(int group) {
     if (++at_group[group] == 128) at_group[group] = 0, group_meetings[group]++;
     while (group_meetings[group] == now) give_way();
 }
+static int at_turn[4];
+static void give_turn(int group) { at_turn[group + 1]++; }
+static void take_turn(int group) {
+    const int all = at_turn[group]++ / 256 * 256 + 256;
+    while (at_turn[group] < all) give_way();
+}
+struct alignas(16) Slot { unsigned long long filled; int through; };
+static void empty(Slot& slot) { slot = {0, 0}; }
+static void fill_slot(Slot& slot, char* to, const char* from, int bytes) {
+    std::memcpy(to, from, bytes);
+    slot.filled++;
+}
+static void wait_for_slot(Slot& slot, int times) {
+    while (slot.filled <= times) give_way();
+}
+static bool leave_slot(Slot& slot, int warps) { return ++slot.through % warps == 0; }
 static unsigned from_lane(unsigned value, int mask) { return __shfl_xor_sync(~0u, value, mask); }
 static const char* rows_at[16][32];
 static void load_matrices(unsigned (&to)[4], const char* row) {
@@ -37,6 +53,7 @@ static float number(unsigned both, int k) {
     return float(__builtin_bit_cast(_Float16, (unsigned short)(both >> 16 * k)));
 }
 static float power_of_two(float x) { return std::exp2(x); }
+static float saturated(float x) { return std::min(std::max(x, 0.0f), 1.0f); }
 static float inverse(float x) { return 1 / x; }
 static unsigned rounded(float first, float second) {
     return __builtin_bit_cast(unsigned short, _Float16(first))
@@ -80,17 +97,23 @@ static float factor(const Matrices& m, int row, int k) {
     const char* const at = m.at + k / 8 * m.along + row / 8 * m.across + row % 8 * 16 + k % 8 * 2;
     return float(*reinterpret_cast<const _Float16*>(at));
 }
-template <int COUNT> static void multiply(float (&sums)[COUNT], Matrices left, Matrices right) {
-    const int thread = threadIdx.x % 128, lane = thread % 32;
+static float own_left[16][16][16];
+template <int COUNT> static void multiply(float (&sums)[COUNT], const unsigned (&left)[4], Matrices right) {
+    const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, g = lane / 4, q = lane % 4;
+    for (int k = 0; k < 4; k++)
+        for (int i = 0; i < 2; i++) own_left[warp][g + k % 2 * 8][2 * q + i + k / 2 * 8] = number(left[k], i);
+    meet();
     for (int i = 0; i < COUNT; i++) {
-        const int row = thread / 32 * 16 + lane / 4 + i / 2 % 2 * 8, column = i / 4 * 8 + lane % 4 * 2 + i % 2;
         double total = sums[i];
-        for (int k = 0; k < 16; k++) total += double(factor(left, row, k)) * factor(right, column, k);
+        for (int k = 0; k < 16; k++)
+            total += double(own_left[warp][g + i / 2 % 2 * 8][k]) * factor(right, i / 4 * 8 + 2 * q + i % 2, k);
         sums[i] = float(total);
     }
+    meet();
 }
 static void begin_products() {}
-template <int COUNT> static void end_products(float (&)[COUNT]) {}
+template <int STEPS> static void end_products_before(unsigned (&)[STEPS][4]) {}
+template <int COUNT, int STEPS> static void end_products(float (&)[COUNT], unsigned (&)[STEPS][4]) {}
 static void show_to_products() {}
 """
 

@@ -60,8 +60,9 @@ def make_network(change: Callable[[onnx.GraphProto], None] = lambda graph: None)
 
 @pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
 @pytest.mark.parametrize("stem", [2, 4])
-@pytest.mark.parametrize("gpu", [HostGpu(warpgroups=False, processors=7), HostGpu(warpgroups=True, processors=3)],
-                         ids=["warps", "warpgroups"])
+@pytest.mark.parametrize("gpu", [HostGpu(warpgroups=False, processors=7), HostGpu(warpgroups=True, processors=3),
+                                 HostGpu(warpgroups=True, processors=2, most_shared=24 << 10)],
+                         ids=["warps", "warpgroups", "weights in parts"])
 def test_the_kernels_compute_what_onnx_runtime_does(
     tmp_path: Path, gpu: HostGpu, stem: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -109,7 +110,7 @@ def test_networks_in_half_precision_are_read_whole(tag: str) -> None:
     assert {layer.output for layer in layers} > {"raw_fine", "raw_level1", "raw_level2"}
     for layer in layers:
         launch = choices(layer, 272, 480, HostGpu(warpgroups=True))[0]
-        assert launch.groups * launch.held >= 3, "while one waits for pixels, others multiply"
+        assert launch.groups * launch.held >= min(2, launch.squares // 132), "one waits for pixels, another multiplies"
         assert launch.shared <= HostGpu(warpgroups=True).most_shared
         assert choices(layer, 136, 240, HostGpu(False, most_shared=99 << 10))[0].shared <= 99 << 10  # of GPUs with less
     with pytest.raises(Unfit, match="shared memory"):
