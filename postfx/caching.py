@@ -73,10 +73,16 @@ class LRUCache(Generic[Key, Value]):
 
 
 class SpareMemory:
-    """Memory of arrays that are gone, for new ones. Pages that are new from the system cost five to ten percent of an
-    interpolated frame's time."""
+    """Memory of arrays that are gone, for new ones: pages that are new from the system must be cleared first.
+    That costs five to ten percent of an interpolated frame's time.
 
-    def __init__(self) -> None:
+    Args:
+        least: bytes of an array whose memory is worth keeping.
+        most: pieces of memory that are kept; None: all.
+    """
+
+    def __init__(self, least: int = LEAST_REUSED, most: int | None = None) -> None:
+        self._least, self._most = least, most
         self._free: list[tuple[int, np.ndarray]] = []
         self._made, self._lock = 0, threading.Lock()
 
@@ -84,7 +90,7 @@ class SpareMemory:
         """An array of any content."""
         count = math.prod(shape)
         nbytes = count * np.dtype(dtype).itemsize
-        if nbytes < LEAST_REUSED:
+        if nbytes < max(self._least, 1):
             return np.empty(shape, dtype)
         raw = self._take(nbytes)
         found = np.frombuffer(raw.data, dtype, count)  # all views of it refer to this array, not to the memory
@@ -95,15 +101,21 @@ class SpareMemory:
         with self._lock:
             self._made += 1
             self._free[:] = [one for one in self._free if one[0] > self._made - KEPT]
-            fitting = [(raw.nbytes, place) for place, (_, raw) in enumerate(self._free)
+            fitting = [(raw.nbytes, -place) for place, (_, raw) in enumerate(self._free)
                        if nbytes <= raw.nbytes <= LARGER * nbytes]
-            if fitting:
-                return self._free.pop(min(fitting)[1])[1]
+            if fitting:  # the newest of the smallest
+                return self._free.pop(-min(fitting)[1])[1]
         return np.empty(nbytes, np.uint8)
 
     def give(self, raw: np.ndarray) -> None:
         """Take back the memory of an array that is gone."""
         self._free.append((self._made, raw))
+        if self._most is not None:
+            del self._free[:-self._most]
+
+    def clear(self) -> None:
+        """Let go of the memory that waits."""
+        self._free.clear()
 
 
 def _give_back(to: weakref.ref[SpareMemory], raw: np.ndarray) -> None:

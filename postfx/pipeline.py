@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.caching import LRUCache
+from postfx.caching import LRUCache, SpareMemory
 from postfx.cuts import CutDetector
 from postfx.errors import CutError, ExposureError, FrameError, PassContractError
 from postfx.exposure import ExposureMeter, SmoothExposure
@@ -24,7 +24,7 @@ from postfx.plan import Plan, Skip, Step, make_plan
 from postfx.repair import is_unusable, repair_nonfinite
 from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor, default_device
 from postfx.runtime.encoders import Recordings
-from postfx.runtime.memory import Reused, address
+from postfx.runtime.memory import address
 
 MOST_COPIES, SMALL = MOST_SIZES * (len(Role) + len(GUIDE_ROLES)), 1 << 20
 """Planes and guides of all sizes that are kept ready; bytes that are copied sooner than commands are recorded."""
@@ -378,7 +378,7 @@ class Flow:
         self._copies: LRUCache[tuple[str, tuple[int, ...]], Tensor] = LRUCache(MOST_COPIES)
         self._inputs: dict[str, Tensor] = {}  # the last frame's
         self._recordings = Recordings()
-        self._results = Reused()
+        self._results = SpareMemory(least=0, most=8)
         self.timings: dict[str, float] = {}
 
     def forget(self) -> None:
@@ -483,7 +483,8 @@ def _fits(tensor: Tensor, role: Role, spec: FrameSpec) -> bool:
     return tensor.shape == (spec.height, spec.width, spec.channels(role))
 
 
-def _finish(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor], results: Reused) -> Frame:
+def _finish(frame: Frame, plan: Plan, resident: ResidentFrame, inputs: dict[Role, Tensor],
+            results: SpareMemory) -> Frame:
     """The frame that comes out: new planes copied from the device, the others as they came in."""
     same_size = (plan.output.width, plan.output.height) == (plan.available.width, plan.available.height)
     unread = [role for role in plan.available.roles if role not in plan.planes and same_size]

@@ -86,6 +86,14 @@ def local_mean(plane: np.ndarray, radius: int) -> np.ndarray:
     return plane
 
 
+def three_by_three(plane: np.ndarray, step: int, join: np.ufunc) -> np.ndarray:
+    """3x3 pixels of a plane (h, w), `step` apart, joined by a function of two; borders are repeated."""
+    wide, last = np.pad(plane, step, "edge"), -2 * step
+    rows = join(join(wide[:last], wide[step:-step]), wide[2 * step:])
+    found: np.ndarray = join(join(rows[:, :last], rows[:, step:-step]), rows[:, 2 * step:])
+    return found
+
+
 def local_maximum(plane: np.ndarray, radius: int) -> np.ndarray:
     """Largest value within windows of (2 radius + 1)^2 pixels: (height, width) -> the same; borders are repeated."""
     return _reduce_windows(np.maximum, plane, radius)

@@ -369,7 +369,8 @@ def find_conflict(earlier: Sequence[Footprint], new: Footprint) -> Conflict | No
     before = predecessors(record for part in parts for record in part.records)
     for index, others in enumerate(suspects, first_new):
         if unordered := others & ~before[index]:
-            return _conflict([item for part in parts for item in part.dispatches], _lowest(unordered), index)
+            first = (unordered & -unordered).bit_length() - 1
+            return _conflict([item for part in parts for item in part.dispatches], first, index)
     return None
 
 
@@ -431,10 +432,6 @@ def _union(spans: Iterable[Span]) -> tuple[int, int]:
         writers |= span.writers
         users |= span.users
     return writers, users
-
-
-def _lowest(mask: int) -> int:
-    return (mask & -mask).bit_length() - 1
 
 
 def _conflict(dispatches: Sequence[Dispatch], first: int, second: int) -> Conflict:

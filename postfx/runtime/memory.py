@@ -208,37 +208,6 @@ class HostMemory(Immediate):
         share(copy_pieces, math.ceil(nbytes / WORTH), *views)
 
 
-MOST_SPARE = 2
-"""Pieces of memory of one size that wait to be used again."""
-
-
-class Reused:
-    """Arrays on memory that serves again when nothing refers to them any more: fresh memory would have to be cleared,
-    page by page."""
-
-    def __init__(self) -> None:
-        self._spare: dict[int, list[np.ndarray]] = {}
-
-    def empty(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> np.ndarray:
-        """An array of any content."""
-        nbytes = math.prod(shape) * dtype.itemsize
-        spare = self._spare.setdefault(nbytes, [])
-        storage = spare.pop() if spare else np.empty(nbytes, np.uint8)
-        owner: Any = (ctypes.c_char * nbytes).from_buffer(storage.data)
-        weakref.finalize(owner, _put_by, spare, storage).atexit = False
-        found: np.ndarray = np.frombuffer(owner, dtype)
-        return found.reshape(shape)
-
-    def clear(self) -> None:
-        """Let go of the memory that waits."""
-        self._spare.clear()
-
-
-def _put_by(spare: list[np.ndarray], storage: np.ndarray) -> None:
-    if len(spare) < MOST_SPARE:
-        spare.append(storage)
-
-
 def address(array: np.ndarray) -> int:
     """Address of an array's first element."""
     return int(array.__array_interface__["data"][0])

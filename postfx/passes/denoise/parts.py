@@ -25,9 +25,10 @@ from postfx.passes.denoise.history import (
     some_of,
 )
 from postfx.passes.denoise.options import Size
-from postfx.passes.denoise.planes import ABSENT, Alpha, Resampler, Restore, Strength, absent_plane, three_by_three
+from postfx.passes.denoise.planes import ABSENT, Alpha, Resampler, Restore, Strength, absent_plane
 from postfx.passes.denoise.tiling import Rows
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
+from postfx.sampling import three_by_three
 
 NEAR = 2e-3
 """Parts are all of the picture if their sum differs by less than this share of its light."""

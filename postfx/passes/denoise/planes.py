@@ -24,6 +24,7 @@ from postfx.passes.denoise.history import LayerHistory
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.tiling import Rows, full_rows, rows_of
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
+from postfx.sampling import three_by_three
 
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.
 ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0, Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0,
@@ -391,14 +392,6 @@ def near_rows(y0: int, y1: int, alpha: np.ndarray, near: np.ndarray) -> None:
 
 NEAR = kernel("near", ("alpha",), ("near",), near_rows, ("near", 0), alpha=("h", "w", 1), near=("alpha_h", "alpha_w"))
 """Cells where alpha is worked on, on a GPU."""
-
-
-def three_by_three(plane: np.ndarray, step: int, join: np.ufunc) -> np.ndarray:
-    """3x3 pixels of a plane (h, w), so many apart, joined; edge repeated."""
-    wide, last = np.pad(plane, step, "edge"), -2 * step
-    rows = join(join(wide[:last], wide[step:-step]), wide[2 * step:])
-    found: np.ndarray = join(join(rows[:, :last], rows[:, step:-step]), rows[:, 2 * step:])
-    return found
 
 
 class Plain:
