@@ -67,10 +67,12 @@ def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int, t
           f"{max(process) / 1e6:.1f} MB at most; processor time a frame {1e3 * before:.1f} and {1e3 * after:.1f} ms")
 
 
-def test_planes_in_the_same_memory_are_known_again(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("small", [False, True])
+def test_planes_in_the_same_memory_are_known_again(small: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands are searched for hazards once, and results are those of planes that lie elsewhere in each frame, which
-    nothing keeps in memory."""
+    nothing keeps in memory. Small ones are copied from the second frame on."""
     monkeypatch.setattr("postfx.runtime.heap.CHUNK", 1)
+    monkeypatch.setattr("postfx.pipeline.SMALL", 1 << 20 if small else 0)
     made: list[int] = []
     same, other = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()], Device("cpu", threads=1))
                    for _ in range(2))
@@ -88,7 +90,7 @@ def test_planes_in_the_same_memory_are_known_again(monkeypatch: pytest.MonkeyPat
         np.testing.assert_array_equal(found[Role.COLOUR], other(new)[Role.COLOUR])
         gone.append(weakref.ref(new[Role.COLOUR]))
         del new
-        assert [held() is None for held in gone] == number * [True] + [False]
+        assert [held() is None for held in gone] == number * [True] + [small and number > 0]
 
 
 @pytest.mark.parametrize("masked", [False, True])

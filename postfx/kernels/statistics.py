@@ -358,7 +358,8 @@ def light_outside(colour: np.ndarray) -> float:
     """Share of the light of a picture (h, w, 3) that is negative and that wider primaries turn positive.
 
     Pixels count by their brightness up to that of the usual pixel, brighter ones no more, so that a few fireflies
-    decide nothing. Grey light below 0, as pixel filters leave it beside bright edges, does not count.
+    decide nothing. Grey light below 0, as pixel filters leave it beside bright edges, does not count, nor do pixels
+    without any positive number.
     """
     down, right = (max(1, side // LOOKED_AT) for side in colour.shape[:2])
     pixels = colour[::down, ::right].reshape(-1, 3)
@@ -368,7 +369,8 @@ def light_outside(colour: np.ndarray) -> float:
     brightest = np.abs(pixels).max(1, initial=0.0)
     lit = brightest > 0
     seen = pixels[lit] / (np.exp(np.log(brightest[lit]).mean()) + brightest[lit])[:, None] if lit.any() else pixels
-    gained = np.minimum(seen @ WIDER.T, 0).sum() - np.minimum(seen, 0).sum()
+    mixed = seen[seen.max(1, initial=-1.0) > 0]
+    gained = np.minimum(mixed @ WIDER.T, 0).sum() - np.minimum(mixed, 0).sum()
     return float(gained / max(np.abs(seen).sum(), 1e-12))
 
 

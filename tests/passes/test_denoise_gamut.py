@@ -57,6 +57,7 @@ def test_what_lies_outside() -> None:
     grey = np.full((60, 70, 3), 1.0, np.float32)
     assert light_outside(grey) == 0
     assert light_outside(-grey) == 0, "below 0, but grey: no primaries hold it"
+    assert light_outside(grey * (-1.0, -0.5, -0.1)) == 0, "no pixel has light"
     assert light_outside(np.zeros_like(grey)) == light_outside(grey[:0]) == 0
     beyond = grey.copy()
     beyond[:, :7] = 1.0, -0.5, -0.1
