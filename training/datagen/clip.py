@@ -14,7 +14,7 @@ from training.datagen.scenes.convert import RealScenes
 from training.datagen.scenes.draft import Draft, Probe, choose_path
 from training.datagen.scenes.lights import Environments
 from training.datagen.scenes.motion import Camera, CameraPath, Cut
-from training.datagen.scenes.procedural import draft
+from training.datagen.scenes.procedural import FINE, draft
 from training.datagen.tracing import Film, Tracer
 
 # Samples within a pixel ---------------------------------------------------------------------------------------------
@@ -111,6 +111,14 @@ def draw_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Gener
     return styles
 
 
+def draw_fine_styles(count: int, frames: int, pixel_filter: str, rng: np.random.Generator) -> tuple[list[Style], str]:
+    """Styles of a clip of sub-pixel detail: few samples, spread over the pixel, one render of 64 that shows the true
+    planes; and of which samples depth and motion are (`Tracer.planes`)."""
+    few = rng.choice([2, 3, 4, 6, 8, 16], count - 1, p=[0.1, 0.15, 0.4, 0.15, 0.15, 0.05])
+    still = np.zeros((frames, 2), np.float32)
+    return [Style(pixel_filter, int(spp), still) for spp in (*few, 64)], str(rng.choice(["", "all", "hits"]))
+
+
 # A clip -------------------------------------------------------------------------------------------------------------
 
 REPLACED = 4  # mirrors and faces of glass that the planes see through, in clips with primary surface replacement
@@ -123,6 +131,7 @@ class ClipOptions:
 
     References take the samples that are needed for an error of about `reference_error` after x/(1+x), between half and
     four times `reference_spp`. With `even_spp`, noisy renders have 1 to that many samples a pixel, evenly in stops.
+    `families` are the kinds of procedural scenes (default: drawn).
     """
 
     width: int = 128
@@ -136,6 +145,7 @@ class ClipOptions:
     real_share: float = 0.25
     cut_share: float = 0.04
     even_spp: int | None = None
+    families: tuple[str, ...] = ()
 
 
 def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes, seed: int,
@@ -147,11 +157,15 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
     path, reset = _cut(tracer, options, drafted, built, path, gain, rng)
     scale = float(rng.choice(options.scales, p=options.scale_chances))
     pixel_filter = FILTERS[int(rng.random() < 0.35)]
-    styles = draw_styles(options.variants, options.frames, pixel_filter, rng, options.even_spp)
+    fine = description.name in FINE
+    if fine:
+        styles, positions = draw_fine_styles(options.variants, options.frames, pixel_filter, rng)
+    else:
+        styles, positions = draw_styles(options.variants, options.frames, pixel_filter, rng, options.even_spp), ""
     size, output = (options.width, options.height), (round(options.width * scale), round(options.height * scale))
     wanted = look.samples_for(options.reference_error, gain)
     spp = int(np.clip(wanted, options.reference_spp / 2, 4 * options.reference_spp)) // 16 * 16 or 1
-    steps = REPLACED if rng.random() < 0.5 else 0
+    steps = REPLACED if rng.random() < 0.5 and not fine else 0
     guide_style = draw_guide_style(options.frames, pixel_filter, rng)
     table, references, guides, variants = filter_table(pixel_filter), [], [], [[] for _ in styles]
     for frame in range(options.frames):
@@ -160,7 +174,8 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
         references.append(gain * tracer.reference(built.scene, camera, output, table, spp, _seed(rng)))
         guides.append(guide_frame(tracer, built, (camera, previous), output, guide_style, frame, rng, steps))
         for style, frames in zip(styles, variants, strict=True):
-            frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain, rng, steps))
+            frames.append(noisy_frame(tracer, built, (camera, previous), size, style, frame, gain, rng, steps,
+                                      positions))
     meta = {
         "filter": pixel_filter, "gain": gain, "reference_spp": spp, "wanted_spp": wanted,
         "fov": [path.at(f).fov for f in range(options.frames)], **_path_facts(path), "movers": len(description.movers),
@@ -177,49 +192,59 @@ def make_clip(tracer: Tracer, options: ClipOptions, maps: Environments, real: Re
 
 
 def noisy_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int], style: Style,
-                frame: int, gain: float, rng: np.random.Generator, steps: int = 0) -> dict[str, np.ndarray]:
+                frame: int, gain: float, rng: np.random.Generator, steps: int = 0,
+                positions: str = "") -> dict[str, np.ndarray]:
     """Colour and planes (H, W, C) of one noisy frame; `cameras` are this frame's and the previous one's.
 
     Offline styles average the planes over the samples like renderers. Depth, and motion with the box filter, come from
     the first sample: an average across an edge would belong to neither side.
     """
-    film = film_of(size, style.offsets(frame, size[0] * size[1], rng))
+    film = film_of(size, style.offsets(frame, size[0] * size[1], rng), _lens(cameras[0], size, style.spp, rng))
     colour = tracer.noisy(built.scene, cameras[0], size[0] / size[1], film, style.spp, _seed(rng))
     result = {"colour": gain * colour.reshape(size[1], size[0], 3)}
-    return result | plane_images(tracer, built, cameras, size, style, film, steps)
+    return result | plane_images(tracer, built, cameras, size, style, film, steps, positions)
 
 
 def guide_frame(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int], style: Style,
                 frame: int, rng: np.random.Generator, steps: int = 0) -> dict[str, np.ndarray]:
     """Planes (H, W, C) at output size, without motion."""
-    film = film_of(size, style.offsets(frame, size[0] * size[1], rng))
+    film = film_of(size, style.offsets(frame, size[0] * size[1], rng), _lens(cameras[0], size, style.spp, rng))
     planes = plane_images(tracer, built, cameras, size, style, film, steps)
     return {name: planes[name] for name in GUIDES}
 
 
 def plane_images(tracer: Tracer, built: BuiltScene, cameras: tuple[Camera, Camera], size: tuple[int, int],
-                 style: Style, film: Film, steps: int = 0) -> dict[str, np.ndarray]:
+                 style: Style, film: Film, steps: int = 0, positions: str = "") -> dict[str, np.ndarray]:
     """Planes (H, W, C) of samples in this `style`. Real-time samples share one position: one of them is enough."""
     spp = style.spp
     if style.kind == "realtime" and spp > 1:
         film, spp = film.first(spp), 1
     mean = (*AVERAGED, "motion") if style.kind == "blackman-harris" else AVERAGED
-    planes = tracer.planes(built, *cameras, size, film, spp, mean, steps)
+    planes = tracer.planes(built, *cameras, size, film, spp, mean, steps, positions)
     return {name: values.reshape(size[1], size[0], *values.shape[1:]) for name, values in planes.items()}
 
 
-def film_of(size: tuple[int, int], offsets: np.ndarray) -> Film:
+def film_of(size: tuple[int, int], offsets: np.ndarray, lens: mi.Point2f | None = None) -> Film:
     """Samples at `offsets` (pixels, spp, 2) from the corners of the pixels of an image of `size`."""
     y, x = np.divmod(np.arange(size[0] * size[1], dtype=np.float32), size[0])
     u, v = (x[:, None] + offsets[..., 0]) / size[0], (y[:, None] + offsets[..., 1]) / size[1]
-    return Film(mi.Float(u.ravel()), mi.Float(v.ravel()))
+    return Film(mi.Float(u.ravel()), mi.Float(v.ravel()), lens)
+
+
+def _lens(camera: Camera, size: tuple[int, int], spp: int, rng: np.random.Generator) -> mi.Point2f | None:
+    """Random places on the camera's lens for all samples, if it has one."""
+    if not camera.aperture:
+        return None
+    drawn = rng.random((2, size[0] * size[1] * spp), np.float32)
+    return mi.Point2f(mi.Float(drawn[0]), mi.Float(drawn[1]))
 
 
 def _scene(tracer: Tracer, options: ClipOptions, maps: Environments, real: RealScenes,
            rng: np.random.Generator) -> tuple:
     """Draw scenes until one has a usable view."""
     while True:
-        drafted = real.draft(rng, maps) if real and rng.random() < options.real_share else draft(rng, maps)
+        taken = real and rng.random() < options.real_share
+        drafted = real.draft(rng, maps) if taken else draft(rng, maps, options.families)
         built = BuiltScene(drafted.description)
         built.move(3.5, 2.5)
         chosen = choose_path(tracer, built, drafted.view, rng, options.width, drafted.near)

@@ -115,10 +115,12 @@ MISS_DEPTH = 1e10
 
 @dataclass(frozen=True)
 class Film:
-    """Sample positions as fractions of the image, (N,) each: u to the right, v down."""
+    """Sample positions as fractions of the image, (N,) each: u to the right, v down; and on a lens, as two uniform
+    random numbers (None: its centre)."""
 
     u: mi.Float
     v: mi.Float
+    lens: mi.Point2f | None = None
 
     def first(self, spp: int) -> Film:
         """The first of every `spp` consecutive samples."""
@@ -152,7 +154,7 @@ class Tracer:
         total, left = np.zeros((height, width, 3), np.float32), spp
         while left:
             now = min(left, max(1, batch // (width * height)))
-            film = _spread(width, height, now, table, seed + 7919 * left)
+            film = _spread(width, height, now, table, seed + 7919 * left, bool(camera.aperture))
             colour = self.radiance(scene, camera, width / height, film, seed + 104729 * left)
             sums = [dr.block_sum(channel, now).numpy() for channel in (colour.x, colour.y, colour.z)]
             total += np.stack(sums, -1).reshape(height, width, 3)
@@ -160,13 +162,16 @@ class Tracer:
         return total / spp
 
     def planes(self, built: BuiltScene, camera: Camera, previous: Camera, size: tuple[int, int], film: Film,
-               spp: int = 1, mean: tuple[str, ...] = (), steps: int = 0) -> dict[str, np.ndarray]:
+               spp: int = 1, mean: tuple[str, ...] = (), steps: int = 0, positions: str = "") -> dict[str, np.ndarray]:
         """First-hit planes, (N,) or (N, C) float32; motion in pixels of an image of `size`.
 
         Every `spp` consecutive samples of the film make one of the N rows: the mean in the planes named by `mean`, in
         the others the first. With `steps`, rays go on through at most that many mirrors and faces of glass, and the
         planes show the surface behind them: its albedos times the reflectance on the way, its normal as mirrored, the
         length of the whole way as depth along the first ray, the motion of its mirrored image.
+
+        Renderers that write positions average them: with `positions` "all" or "hits", depth and motion are those of
+        the mean position of all samples, where misses count as 0, or of those that hit.
         """
         width, height = size
         first = _rays(camera, width / height, film)
@@ -183,7 +188,11 @@ class Tracer:
         lit = hit & (emissive < 0.5)
         way = first.d * (path.length + dr.select(hit, si.t, 0))
         then = _previous_point(path, first, way, hit, si.p, built.motions.point(row, found, si.p))
-        motion_x, motion_y = _motion(previous, (width, height), film, hit | path.curved, then)
+        near, place = hit | path.curved, dr.select(hit, mi.Vector3f(first.o) + way, first.d)
+        motion_x, motion_y = _motion(previous, (width, height), film, near, then)
+        if camera.aperture:  # a blurred point is not where the pinhole in the lens would show it
+            here_x, here_y = _motion(camera, (width, height), film, hit, place)
+            motion_x, motion_y = motion_x - here_x, motion_y - here_y
         values = {
             "diffuse_albedo": dr.select(lit, path.tint * base * diffuse, 0),
             "specular_albedo": dr.select(lit, path.tint * specular, 0),
@@ -193,7 +202,24 @@ class Tracer:
             "motion": mi.Vector2f(motion_x, motion_y),
         }
         dr.eval(values)
-        return {name: _rows(_pixels(value, spp, name in mean)) for name, value in values.items()}
+        found = {name: _rows(_pixels(value, spp, name in mean)) for name, value in values.items()}
+        if positions:
+            places = [_rows(_pixels(dr.select(hit, value, 0), spp, True)) for value in (place, then)]
+            cover = _rows(_pixels(dr.select(hit, mi.Float(1), mi.Float(0)), spp, True))
+            found |= _mean_position(places, cover, (camera, previous), size, positions == "hits")
+        return found
+
+
+def _mean_position(places: list[np.ndarray], cover: np.ndarray, cameras: tuple[Camera, Camera], size: tuple[int, int],
+                   hits: bool) -> dict[str, np.ndarray]:
+    """Depth (N,) and motion (N, 2) of mean positions (N, 3), now and before, of pixels of which a share `cover` hit."""
+    share = np.maximum(cover, 1e-6)[:, None] if hits else 1.0
+    now, then = (place / share for place in places)
+    depth = (now - cameras[0].to_world[:3, 3]) @ cameras[0].to_world[:3, 2]
+    motion = cameras[1].project(then, *size) - cameras[0].project(now, *size)
+    seen = (cover > 0) & (depth > 1e-4) & np.isfinite(motion).all(1)
+    return {"depth": np.where(seen, depth, MISS_DEPTH).astype(np.float32),
+            "motion": np.where(seen[:, None], motion, 0).astype(np.float32)}
 
 
 def environment_brdf(f0: mi.Color3f, roughness: mi.Float, cosine: mi.Float) -> mi.Color3f:
@@ -232,25 +258,35 @@ def _rays(camera: Camera, aspect: float, film: Film) -> mi.RayDifferential3f:
     x = (1 - 2 * film.u) * tangent
     y = (1 - 2 * film.v) * tangent / _opaque(aspect)
     left, up, forward, origin = (_column(camera.to_world, k) for k in range(4))
-    direction = dr.normalize(left * x + up * y + forward)
-    return mi.RayDifferential3f(mi.Point3f(origin), direction)
+    direction = left * x + up * y + forward
+    if film.lens is not None:
+        place = mi.warp.square_to_uniform_disk_concentric(film.lens) * _opaque(camera.aperture)
+        shift = left * place.x + up * place.y
+        origin, direction = origin + shift, direction * _opaque(camera.focus) - shift
+    return mi.RayDifferential3f(mi.Point3f(origin), dr.normalize(direction))
 
 
-def _spread(width: int, height: int, spp: int, table: np.ndarray, seed: int) -> Film:
-    """`spp` consecutive samples for each pixel, in row order, drawn from the filter's table."""
+def _spread(width: int, height: int, spp: int, table: np.ndarray, seed: int, lens: bool = False) -> Film:
+    """`spp` consecutive samples for each pixel, in row order, drawn from the filter's table; `lens`: all over it."""
     count = width * height * spp
     index = dr.arange(mi.UInt32, count)
     pixel = index // dr.opaque(mi.UInt32, spp)
-    drawn = mi.sample_tea_32(index, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF), 6)
-    drawn = [mi.Float(bits >> 8) * 2.0**-24 for bits in drawn]
+    drawn = _uniform(index, seed)
     lookup = mi.Float(table)
     columns, rows = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
     y = pixel // columns
     x = pixel - y * columns
     u = (mi.Float(x) + _offset(lookup, drawn[0])) / mi.Float(columns)
     v = (mi.Float(y) + _offset(lookup, drawn[1])) / mi.Float(rows)
-    dr.eval(u, v)
-    return Film(u, v)
+    place = mi.Point2f(*_uniform(index, seed + 15485863)) if lens else None
+    dr.eval(u, v, place)
+    return Film(u, v, place)
+
+
+def _uniform(index: mi.UInt32, seed: int) -> list[mi.Float]:
+    """Two random numbers in [0, 1) for each index."""
+    drawn = mi.sample_tea_32(index, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF), 6)
+    return [mi.Float(bits >> 8) * 2.0**-24 for bits in drawn]
 
 
 def _offset(table: mi.Float, drawn: mi.Float) -> mi.Float:

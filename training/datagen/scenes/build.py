@@ -81,6 +81,8 @@ class Part:
 class Description:
     """A scene without its camera. Environment: a (H, W, 3) radiance image or None, turned about y.
 
+    `lens` is the aperture's radius and the depth in focus, as shares of the distance to what is looked at.
+
     Movers are functions of the frame to 4x4 matrices, glows to factors on a radiance, bends of vertices (N, 3) and
     the frame to vertices.
     """
@@ -94,6 +96,7 @@ class Description:
     environment: np.ndarray | None = None
     environment_turn: float = 0.0
     environment_gain: float = 1.0
+    lens: tuple[float, float] = (0.0, 1.0)
 
     def material(self, material: Material) -> int:
         self.materials.append(material)

@@ -208,6 +208,8 @@ def choose_path(tracer: Tracer, built: BuiltScene, view: Callable, rng: np.rando
         fov = float(rng.uniform(35, 80))
         kind, direction = str(rng.choice(CameraPath.KINDS)), rng.uniform(-1, 1, 3)
         path = CameraPath(eye, target, fov, kind, 0.0, direction, int(rng.integers(1 << 30)))
+        distance = float(np.linalg.norm(target - eye))
+        path = replace(path, aperture=built.description.lens[0] * distance, focus=built.description.lens[1] * distance)
         if np.linalg.norm((target - eye)[[0, 2]]) < 0.3:
             continue
         look = probe(tracer, built, path.at(0), int(rng.integers(1 << 31)))

@@ -15,10 +15,13 @@ Path = Callable[[float], np.ndarray]
 
 @dataclass(frozen=True)
 class Camera:
-    """`to_world` maps camera space (x left, y up, z forward) to world space; `fov` is horizontal, in degrees."""
+    """`to_world` maps camera space (x left, y up, z forward) to world space; `fov` is horizontal, in degrees. A lens of
+    radius `aperture` is sharp at the depth `focus`."""
 
     to_world: np.ndarray
     fov: float
+    aperture: float = 0.0
+    focus: float = 1.0
 
     def project(self, points: np.ndarray, width: int, height: int) -> np.ndarray:
         """World points (N, 3) to pixels (N, 2), x right, y down; points behind the camera give nan."""
@@ -48,7 +51,7 @@ def target_speed(rng: np.random.Generator) -> float:
 
 @dataclass(frozen=True)
 class CameraPath:
-    """A base pose and a kind of move; `amplitude` scales the speed, `seed` fixes the shake."""
+    """A base pose and a kind of move; `amplitude` scales the speed, `seed` fixes the shake. The lens is a Camera's."""
 
     eye: np.ndarray
     target: np.ndarray
@@ -57,6 +60,8 @@ class CameraPath:
     amplitude: float
     direction: np.ndarray
     seed: int
+    aperture: float = 0.0
+    focus: float = 1.0
 
     KINDS = ("pan", "dolly", "orbit", "truck", "shake", "mixed")
 
@@ -81,7 +86,7 @@ class CameraPath:
         if self.kind in ("truck", "mixed"):
             step = 0.01 * s * distance * (side * self.direction[0] + np.array([0, 0.3, 0]) * self.direction[1])
             eye, target = eye + step, target + step
-        return Camera(look_at(eye, target), self.fov)
+        return Camera(look_at(eye, target), self.fov, self.aperture, self.focus)
 
 
 @dataclass(frozen=True)
