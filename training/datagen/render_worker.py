@@ -35,7 +35,8 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
     parser.add_argument("--even-spp", type=int, metavar="N", help="samples a pixel of noisy renders are drawn evenly in"
                         " stops from 1 to N (default: mostly 1 to 8)")
     parser.add_argument("--scale", type=float, help="one scale for all clips (default: drawn)")
-    parser.add_argument("--families", help="kinds of procedural scenes, comma-separated (default: drawn)")
+    parser.add_argument("--families", metavar="A,B", help="kinds of procedural scenes with detail finer than a pixel:"
+                        " fur, sunlit (default: other kinds, drawn)")
     parser.add_argument("--blender", type=Path, help="render with Cycles: a Python that has Blender's module bpy")
     parser.add_argument("--half-samples", type=int, default=256, help="Cycles: samples a render pixel in each half of a"
                         " reference")
@@ -83,12 +84,16 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
     )
     from training.datagen.scenes.convert import RealScenes
     from training.datagen.scenes.lights import Environments
+    from training.datagen.scenes.procedural import FINE
     from training.datagen.tracing import Tracer
 
+    families = tuple(args.families.split(",")) if args.families else ()
+    if unknown := [name for name in families if name not in FINE]:
+        sys.exit(f"--families: no kind '{unknown[0]}': there are {', '.join(FINE)}")
     fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
     options = ClipOptions(args.width, args.height, args.frames, args.variants, args.reference_spp,
                           args.reference_error, real_share=args.real_share, even_spp=args.even_spp,
-                          families=tuple(args.families.split(",")) if args.families else (), **fixed)
+                          families=families, **fixed)
     maps, real = Environments(args.real and args.real / "environments"), RealScenes(args.real)
     tracer = Tracer()
     return lambda index: make_clip(tracer, options, maps, real, args.seed, index)

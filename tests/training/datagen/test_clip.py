@@ -25,6 +25,7 @@ from training.datagen.scenes.motion import (  # noqa: E402
     object_path,
     translation,
 )
+from training.datagen.scenes.procedural import FINE  # noqa: E402
 from training.datagen.tracing import Tracer  # noqa: E402
 
 SIZE = (48, 32)
@@ -289,6 +290,17 @@ def test_clip_is_complete_and_repeatable(tracer: Tracer, tmp_path: Path) -> None
     assert clip["v0_jitter"].shape == (2, 2) and clip["scale"] == 1.5 and clip["scene"] == first[2]["scene"]
     assert all(np.isfinite(value).all() for value in clip.values() if isinstance(value, np.ndarray))
     assert [p.name for p in tmp_path.iterdir()] == ["clip.00001.npz"]
+
+
+@pytest.mark.parametrize("kind", sorted(FINE))
+def test_scenes_of_detail_finer_than_a_pixel(tracer: Tracer, kind: str) -> None:
+    """Albedo of a few samples differs from that of many, as pixels show several surfaces."""
+    options = ClipOptions(32, 32, frames=2, variants=2, reference_spp=8, families=(kind,), scales=(1.0,),
+                          scale_chances=(1.0,))
+    reference, variants, facts = make_clip(tracer, options, Environments(None), RealScenes(None), 5, 0)
+    few, many = (variant["diffuse_albedo"].astype(float) for variant in variants)
+    assert np.isfinite(reference).all() and facts["scene"] == kind and variants[1]["spp"] == 64
+    assert (np.abs(few - many).max(-1) > 0.05).mean() > 0.02
 
 
 def test_samples_a_pixel_are_drawn_evenly_in_stops() -> None:
