@@ -108,14 +108,17 @@ class SpareMemory:
         return np.empty(nbytes, np.uint8)
 
     def give(self, raw: np.ndarray) -> None:
-        """Take back the memory of an array that is gone."""
-        self._free.append((self._made, raw))
-        if self._most is not None:
-            del self._free[:-self._most]
+        """Take back the memory of an array that is gone.
+
+        This may run at any time, even within `_take`. It only appends, so that places in the list stay.
+        """
+        if self._most is None or len(self._free) < self._most:
+            self._free.append((self._made, raw))
 
     def clear(self) -> None:
         """Let go of the memory that waits."""
-        self._free.clear()
+        with self._lock:
+            self._free.clear()
 
 
 def _give_back(to: weakref.ref[SpareMemory], raw: np.ndarray) -> None:

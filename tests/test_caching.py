@@ -5,7 +5,7 @@ import weakref
 
 import numpy as np
 
-from postfx.caching import KEPT, LRUCache, filled_array, new_array, reuse_memory
+from postfx.caching import KEPT, LRUCache, SpareMemory, filled_array, new_array, reuse_memory
 
 
 class Costly:
@@ -68,3 +68,15 @@ def test_memory_serves_again_once_no_view_of_an_array_is_left():
     del spare
     assert alive() is None, "an array that is still in use holds no other memory"
     held += 1
+
+
+def test_no_more_memory_is_kept_than_is_allowed():
+    spare = SpareMemory(least=0, most=2)
+    arrays = [spare.empty((3, 5)) for _ in range(4)]
+    assert not spare._free
+    del arrays
+    assert [raw.nbytes for _, raw in spare._free] == [60, 60]
+    spare.empty((3, 5))
+    assert len(spare._free) == 2, "one was taken, and came back"
+    spare.clear()
+    assert not spare._free
