@@ -120,11 +120,11 @@ __device__ inline float activated(float sum, float offset, int channel) {
     const float to_two = 1.44269504f;  // exp(x) is 2 to the power of x * to_two
     if (FIRST + 8 <= SHARES || (FIRST < SHARES && channel < SHARES)) {
         const float range = 2.0f * STEEPEST, scale = 1.0f / range;  // from -STEEPEST to STEEPEST as 0 to 1
-        return power_of_two(saturated(sum * scale + (offset * scale + 0.5f)) * (range * to_two) - STEEPEST * to_two);
+        return exp2_of(saturated(sum * scale + (offset * scale + 0.5f)) * (range * to_two) - STEEPEST * to_two);
     }
     if (FIRST + 8 <= STATES || (FIRST < STATES && channel < STATES))
-        return inverse(1.0f + power_of_two(sum * -to_two - offset * to_two));
-    return 2.0f * inverse(1.0f + power_of_two(sum * (-2.0f * to_two) - offset * (2.0f * to_two))) - 1.0f;
+        return over_one(1.0f + exp2_of(sum * -to_two - offset * to_two));
+    return 2.0f * over_one(1.0f + exp2_of(sum * (-2.0f * to_two) - offset * (2.0f * to_two))) - 1.0f;
 }
 
 // Write a thread's EIGHTS of planes from the FIRST on after their activations: of two pixels, `apart`, that are there,

@@ -52,9 +52,7 @@ static void load_matrices(unsigned (&to)[4], const char* row) {
 static float number(unsigned both, int k) {
     return float(__builtin_bit_cast(_Float16, (unsigned short)(both >> 16 * k)));
 }
-static float power_of_two(float x) { return std::exp2(x); }
 static float saturated(float x) { return std::min(std::max(x, 0.0f), 1.0f); }
-static float inverse(float x) { return 1 / x; }
 static unsigned rounded(float first, float second) {
     return __builtin_bit_cast(unsigned short, _Float16(first))
         | unsigned(__builtin_bit_cast(unsigned short, _Float16(second))) << 16;
