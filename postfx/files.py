@@ -30,6 +30,7 @@ from postfx.errors import ReadError, WriteError
 
 MAX_BYTES = 1 << 30
 """Largest file that `read_text` reads unless told otherwise."""
+_MOST_DOTS = 200
 PARTIAL = ".part"
 """Suffix of files that are being written; no frame pattern matches it."""
 PIECE = 1 << 22
@@ -40,7 +41,7 @@ _numbers = count()
 
 
 def read_text(path: Path, most: int = MAX_BYTES) -> str:
-    """Read a UTF-8 file of at most `most` bytes.
+    """Read a UTF-8 file of at most `most` bytes, without the byte order mark that Windows' editors put first.
 
     Raises OSError for a larger file and for anything that is not a regular file, such as a pipe or an endless device;
     ValueError when the content is not UTF-8.
@@ -49,13 +50,26 @@ def read_text(path: Path, most: int = MAX_BYTES) -> str:
         raise OSError(errno.EINVAL, "it is not a file", str(path))
     if path.stat().st_size > most:
         raise OSError(errno.EFBIG, f"it has more than {most} bytes", str(path))
-    return path.read_text(encoding="utf-8")
+    return path.read_text(encoding="utf-8-sig")
 
 
 def parse_json(text: str | bytes) -> Any:
     """Parse JSON; ValueError when it is malformed or nested too deeply."""
     try:
         return json.loads(text)
+    except RecursionError:
+        raise ValueError("its values are nested without end") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parse TOML; ValueError when it is malformed, nested too deeply, or has a line of too many dots, which takes
+    tomllib time by the square of their number."""
+    import tomllib  # most commands can do without
+
+    if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
+        raise ValueError(f"it has a line of more than {_MOST_DOTS} dots")
+    try:
+        return tomllib.loads(text)
     except RecursionError:
         raise ValueError("its values are nested without end") from None
 
