@@ -215,6 +215,11 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object], durable: b
         write(file)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Replace `path` by a UTF-8 file with this text, whole or not at all."""
+    write_atomically(path, lambda file: file.write(text.encode()), durable=True)
+
+
 def remove_leftovers(folder: Path, names: Iterable[str], any_host: bool = False) -> None:
     """Remove temporary files that killed writers of these file names left in a folder.
 

@@ -364,7 +364,23 @@ class Frame:
         if self.guides:
             self.guide_size = next(iter(self.guides.values())).shape[1::-1]
         if self.world_to_camera is not None:
-            self.world_to_camera = np.asarray(self.world_to_camera, np.float64).reshape(4, 4)
+            self.world_to_camera = self._numbers("world_to_camera", 16).reshape(4, 4)
+        for name in ("jitter", "guide_jitter"):
+            self._numbers(name, 2)
+        if self.exposure is not None:
+            self._numbers("exposure", 1)
+
+    def _numbers(self, name: str, count: int) -> np.ndarray:
+        """A field's numbers, flat; FrameError where it holds others, or anything else."""
+        value = getattr(self, name)
+        try:
+            found = np.asarray(value, np.float64).ravel()
+        except (TypeError, ValueError):
+            found = np.empty(0)
+        if value is None or found.size != count:
+            words = "a number" if count == 1 else f"{count} numbers"
+            raise FrameError(f"frame {self._name()} has {name} {value!r}: give {words}")
+        return found
 
     @property
     def spec(self) -> FrameSpec:

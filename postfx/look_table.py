@@ -16,6 +16,7 @@ import numpy as np
 from postfx.colour import REC2020, matrix_between, ocio
 from postfx.colour.displays import PQ, PQ_NITS, Display, parse_display
 from postfx.errors import WriteError
+from postfx.files import write_text
 from postfx.frame import Frame, Role
 from postfx.passes import Pass
 from postfx.passes.display import View
@@ -64,7 +65,7 @@ class LookTable:
         lines = head + [f"{red:.6f} {green:.6f} {blue:.6f}" for red, green, blue in rows]
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+            write_text(path, "\n".join(lines) + "\n")
         except OSError as error:
             raise WriteError(f"{path}: cannot be written: {error.strerror or error}") from error
 

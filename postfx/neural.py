@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from postfx.errors import BindingError, ModelError
+from postfx.files import write_atomically
 from postfx.kernels.neural import (
     ACTIVATIONS,
     ADAM,
@@ -176,7 +177,7 @@ class Network:
 
     def save_onnx(self, path: str | Path, parameters: np.ndarray | None = None) -> None:
         """Write the ONNX model to a file, which a `Library` of its folder finds."""
-        Path(path).write_bytes(self.onnx(parameters))
+        write_atomically(Path(path), lambda file: file.write(self.onnx(parameters)), durable=True)
 
 
 @dataclass(frozen=True)

@@ -207,3 +207,13 @@ def test_a_frame_is_a_picture_in_a_notebook(encoding, grey, tmp_path):
 def test_a_frame_without_colour_is_a_table_in_a_notebook():
     frame = Frame({"depth": plane(Role.DEPTH)})
     assert frame._repr_png_() is None and "<img" not in frame._repr_html_() and "<td>depth</td>" in frame._repr_html_()
+
+
+@pytest.mark.parametrize(("field", "value"), [
+    ("jitter", None), ("jitter", 0.5), ("jitter", (1, 2, 3)), ("jitter", "ab"), ("jitter", ("x", 1)),
+    ("guide_jitter", None), ("world_to_camera", np.eye(3)), ("world_to_camera", "x"), ("exposure", "bright"),
+    ("exposure", (1, 2)),
+])
+def test_fields_that_are_no_numbers_are_refused(field, value):
+    with pytest.raises(FrameError, match=f"frame 1 has {field} .*: give "):
+        Frame({Role.COLOUR: np.ones((2, 3, 3), np.float32)}, **{field: value})

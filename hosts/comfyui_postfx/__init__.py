@@ -2,7 +2,7 @@
 
 Put this folder into ComfyUI's `custom_nodes`, or a link to it, and install postfx where ComfyUI runs. The type
 POSTFX_FRAMES is a shot and what is to be done with it; the work is done frame by frame where files or images are made,
-so that a long shot never lies in memory. Relative paths are in ComfyUI's input and output folders.
+so that a long shot never lies in memory. Paths are in ComfyUI's input and output folders.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import postfx
 from postfx import Frame, Pipeline, Role
 from postfx.colour.displays import srgb_decode, srgb_encode
 from postfx.errors import OptionError
+from postfx.files import make_printable
 from postfx.frame import LINEAR
 from postfx.io.pattern import parse_pattern
 
@@ -58,14 +59,16 @@ def _progress(count: int) -> Callable[[], None]:
 
 
 def _path(kind: str, path: str) -> str:
-    """A path as the user gave it, in ComfyUI's "input" or "output" folder if it is relative."""
+    """A path in ComfyUI's "input" or "output" folder, which no path may leave: workflows come from other people."""
     try:
         import folder_paths
     except ImportError:  # the nodes are used without ComfyUI
-        folder = ""
-    else:
-        folder = folder_paths.get_input_directory() if kind == "input" else folder_paths.get_output_directory()
-    return str(Path(folder, os.path.expanduser(path)))
+        return os.path.expanduser(path)
+    folder = folder_paths.get_input_directory() if kind == "input" else folder_paths.get_output_directory()
+    found, folder = os.path.abspath(os.path.join(folder, os.path.expanduser(path))), os.path.abspath(folder)
+    if found != folder and not found.startswith(os.path.join(folder, "")):
+        raise OptionError(f"'{make_printable(path)}' is outside of ComfyUI's {kind} folder: give a path inside {folder}")
+    return found
 
 
 class LoadSequence:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import sys
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,9 +19,11 @@ from postfx.bench.measure import Material, Sources, Task, output_pattern, run_ta
 from postfx.bench.methods import Omission, catalogue, select
 from postfx.bench.report import ablations, choices, compare, front, write_csv
 from postfx.errors import BenchError, WriteError
+from postfx.files import make_printable, write_text
 from postfx.frame import Role
 from postfx.passes.denoise.planes import ABSENT
 from postfx.runtime import Device, Library
+from postfx.streams import styled
 from postfx.version import __version__
 
 LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"), ("matplotlib", "matplotlib"))
@@ -87,7 +90,7 @@ class Bench:
 
         folder = self._wish.output
         try:
-            (folder / "bench.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+            write_text(folder / "bench.json", json.dumps(facts, indent=1) + "\n")
             write_csv(folder / "bench.csv", facts["methods"])
             pareto(facts, "psnr_late", folder / "pareto_psnr.png")
             pareto(facts, "flicker_late", folder / "pareto_flicker.png")
@@ -159,7 +162,7 @@ class BenchProgress:
     """Counts finished methods and runs. Use as a context manager."""
 
     def __init__(self, methods: list[str], runs: int) -> None:
-        self._console = Console(stderr=True)
+        self._console = Console(file=styled(sys.stderr))
         self._methods, self._runs, self._count = methods, runs, 0
         self._bar = Progress(
             TextColumn("{task.fields[doing]}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
@@ -200,4 +203,4 @@ class BenchProgress:
     def _print(self, method: str, text: str) -> None:
         self._bar.update(self._task, completed=self._count * (self._runs + 1))
         line = f"{self._count}/{len(self._methods)} {method}: {text}"
-        self._console.print(line, highlight=False, soft_wrap=True, markup=False)
+        self._console.print(make_printable(line), highlight=False, soft_wrap=True, markup=False)

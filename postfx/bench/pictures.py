@@ -19,6 +19,7 @@ from postfx.bench.methods import FAMILIES
 from postfx.bench.metrics import grey_exposure, psnr
 from postfx.bench.report import choices
 from postfx.colour.views import to_codes
+from postfx.files import atomic_file
 from postfx.frame import Role
 
 COUNT, SIDE = 3, 96
@@ -120,7 +121,8 @@ def _draw(columns: list[Column], places: list[tuple[int, int]], frame: str, why:
     for axes, column in zip(grid[0], columns, strict=True):
         axes.set_title(column.title, fontsize=11)
     figure.suptitle(f"{frame}: {side}x{side} pixels of the output {why}", fontsize=10)
-    figure.savefig(path)
+    with atomic_file(path) as temporary:
+        figure.savefig(temporary, format=path.suffix[1:])
 
 
 def _side(shape: tuple[int, ...]) -> int:
@@ -199,7 +201,8 @@ def pareto(facts: dict[str, Any], figure: str, path: Path) -> None:
     picture.canvas.draw()
     renderer = canvas.get_renderer()  # type: ignore[no-untyped-call]  # matplotlib leaves it untyped
     _label(axes, points, figure, renderer)
-    picture.savefig(path)
+    with atomic_file(path) as temporary:
+        picture.savefig(temporary, format=path.suffix[1:])
 
 
 def _range(rows: list[dict[str, Any]], figure: str) -> tuple[float, float]:

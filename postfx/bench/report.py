@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import csv
+import sys
 from pathlib import Path
 from typing import Any
+
+from postfx.files import atomic_file, make_printable
+from postfx.streams import styled
 
 HIGHER_IS_BETTER = ("psnr", "ssim")
 COMPARED = ("psnr_late", "ssim_late", "flip_late", "flicker_late")
@@ -72,7 +76,7 @@ def _is_same_network(one: dict[str, Any], other: dict[str, Any]) -> bool:
 def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     """One line per method: facts, times and figures; unknown cells are empty."""
     figures = list(rows[0]["scores"])
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with atomic_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([*FACTS, *TIMES, *figures])
         for row in rows:
@@ -85,12 +89,12 @@ def print_table(facts: dict[str, Any]) -> None:
     """The table on standard output, then comparisons and the methods that were left out, with reasons."""
     from rich.console import Console
 
-    console = Console()
+    console = Console(file=styled(sys.stdout))
     if not console.is_terminal:
-        console = Console(width=160)
+        console = Console(file=styled(sys.stdout), width=160)
     console.print(_table(facts))
     for line in _notes(facts):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(make_printable(line), highlight=False, markup=False, soft_wrap=True)
 
 
 def _table(facts: dict[str, Any]) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from typing import TYPE_CHECKING, Any
 
 from postfx.cli.run_options import DEPTH, FILES, INPUT, refuse_several_views
@@ -79,9 +80,16 @@ def print_text(facts: dict[str, Any], exit_code: int) -> None:
     """Print facts as lines; findings are coloured on a terminal."""
     from rich.console import Console
 
-    console = Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
+    from postfx.files import make_printable
+    from postfx.streams import styled
+
+    console = Console(file=styled(sys.stdout), highlight=False, soft_wrap=True, markup=False, emoji=False)
     for line in _lines(facts, exit_code):
-        console.print(line)
+        if isinstance(line, str):
+            console.print(make_printable(line))
+        else:
+            line.plain = make_printable(line.plain)
+            console.print(line)
 
 
 def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:

@@ -44,6 +44,7 @@ from postfx.errors import OptionError, PostfxError, WriteError
 from postfx.exposure import APPLIED, SMOOTH, USED, ExposureMeter, SmoothExposure, colours_of, measure
 from postfx.files import WriteBehind, read_ahead, read_patiently
 from postfx.frame import Frame, Part, Role
+from postfx.io.parts import group_parts
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
@@ -442,7 +443,14 @@ class Job:
             self.sequence.parts = None
             return ()
         with self.sequence.open(self.first) as files:
-            return tuple(found.part for found in files.parts.values())
+            parts = tuple(found.part for found in files.parts.values())
+            if sum(part.is_light for part in parts) < 2:
+                return parts
+            frame = files.read(self.first, [Role.COLOUR], [])
+        grouped, notes = group_parts(parts, frame[Role.COLOUR], frame.parts)
+        for note in notes:
+            self.sequence.warn(note)
+        return grouped
 
     def _resample_options(self) -> dict[str, Any]:
         """Options of a denoiser that only resamples, to the plan's size."""

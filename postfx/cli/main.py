@@ -10,6 +10,7 @@ from importlib import import_module
 
 from postfx.cli.options import Parser
 from postfx.errors import PostfxError
+from postfx.streams import safe_streams
 from postfx.version import __version__
 
 VERBS = {
@@ -32,7 +33,6 @@ FORWARDING = ("watch", "chunks")
 SHELLS = ("bash", "zsh", "fish", "powershell")
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
-EXIT_PIPE = 141
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -42,21 +42,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         import argcomplete
 
         argcomplete.autocomplete(make_parser())
-    words = list(sys.argv[1:] if argv is None else argv)
+    with safe_streams():
+        return _run(list(sys.argv[1:] if argv is None else argv))
+
+
+def _run(words: list[str]) -> int:
     own = words.index("--") if words[:1] and words[0] in FORWARDING and "--" in words else len(words)
     try:
         arguments = make_parser([word for word in words if not word.startswith("-")][:1]).parse_args(words[:own])
         arguments.words, arguments.forwarded = words, words[own + 1:]
         read_and_write_by(getattr(arguments, "threads", None))
         code: int = arguments.execute(arguments)
-        sys.stdout.flush()
         return code
     except PostfxError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_ERROR
-    except BrokenPipeError:  # the reader of our output has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_PIPE
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
         print(f"error: {name}{error.strerror or error}: check the path and its rights", file=sys.stderr)

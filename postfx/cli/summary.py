@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -13,12 +14,14 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from postfx.files import make_printable
 from postfx.frame import Frame, Role
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
 from postfx.masks.cryptomatte import Coverage
 from postfx.plan import Plan, Skip, from_files
 from postfx.repair import Fireflies
+from postfx.streams import styled
 from postfx.temporal.reverse_order import RunUp
 
 SHOWN_FRAMES = 3
@@ -117,7 +120,7 @@ class FrameProgress:
     """
 
     def __init__(self, total: int, quiet: bool = False) -> None:
-        self._console = Console(stderr=True, markup=False, emoji=False, quiet=quiet)
+        self._console = Console(file=styled(sys.stderr), markup=False, emoji=False, quiet=quiet)
         self._total, self._done, self._fresh = total, 0, 0
         self._begin = time.perf_counter()
         self._told: float | None = None
@@ -143,7 +146,7 @@ class FrameProgress:
 
     def note(self, text: str) -> None:
         """Print a line above the bar."""
-        self._console.print(text, highlight=False, soft_wrap=True)
+        self._console.print(make_printable(text), highlight=False, soft_wrap=True)
 
     def note_compilation(self, count: int) -> None:
         """Say that kernels are compiled, and how many so far."""
@@ -166,7 +169,7 @@ class FrameProgress:
         rate = f"{self._fresh / (time.perf_counter() - self._begin):.2f} frames/s"
         self._bar.update(self._task, advance=1, rate=rate)
         if not self._console.is_terminal:
-            self._console.print(f"{self._done}/{self._total} {path} ({rate})", highlight=False, soft_wrap=True)
+            self.note(f"{self._done}/{self._total} {path} ({rate})")
 
 
 _HOW = {"auto": "metered", "smooth": "metered on the whole sequence", "lit": "as it was lit",

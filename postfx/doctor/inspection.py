@@ -31,6 +31,7 @@ from postfx.doctor import (
 from postfx.doctor.geometry import is_hit
 from postfx.doctor.material import Material, Reading, explain_roles, read_material
 from postfx.errors import WriteError
+from postfx.files import write_atomically
 from postfx.exposure import measure
 from postfx.frame import ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match
@@ -312,7 +313,7 @@ def _entry(plane: np.ndarray, role: Role) -> dict[str, Any]:
 
 
 def _write(path: Path, pixels: np.ndarray) -> Path:
-    path.write_bytes(png(pixels))
+    write_atomically(path, lambda file: file.write(png(pixels)), durable=True)
     return path
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from postfx.frame import ADDITIVE, PART_KINDS, Part, PartSource
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
 from postfx.io.layout import Layout
 
-AUTO = "auto"
+AUTO, NAMED = "auto", "named"
 COLOURS, VECTORS = (("R", "G", "B"),), (("X", "Y", "Z"), ("R", "G", "B"))
 NUMBERS = (("V",), ("Z",), ("Y",), ("A",), ("X",), ("R",), ("",))
 LETTERS = {"normal": VECTORS, "position": VECTORS, "albedo": COLOURS, "depth": NUMBERS}
@@ -96,7 +97,7 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
         for layer in layers:
             refuse_ids(layer, f"--aov {name}")
             if channels := _channels(index, layer, COLOURS):
-                matches[layer] = FoundPart(Part(layer, "light", "named"), channels)
+                matches[layer] = FoundPart(Part(layer, "light", NAMED), channels)
         if not matches:
             raise _missing_error(name, index, layout, path)
         found |= {layer: part for layer, part in matches.items() if layer not in found}
@@ -156,6 +157,57 @@ def _missing_error(
         return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of its layers as parts "
                                  f"of the picture: name them (--aov key,fill); it holds {held}")
     return MissingPlaneError(f"{path}: no layer '{name}' for {option}: it holds {held}")
+
+
+NEAR = 3e-3
+"""Layers add up to the picture if their sum differs by less than this share of its light."""
+_STEP, _MOST = 8, 14
+"""One row in so many is looked at; more layers than that are not tried in all combinations."""
+
+
+def find_sets(picture: np.ndarray, parts: Mapping[str, np.ndarray]) -> list[tuple[str, ...]]:
+    """Layers (h, w, 1 or 3) in sets, none of them in two, of which each adds up to the picture; the smallest come first.
+
+    Layers that are in no set are left out.
+    """
+    seen = picture[::_STEP].reshape(-1)
+    shown = [np.broadcast_to(part[::_STEP], (*picture[::_STEP].shape[:2], 3)).reshape(-1) for part in parts.values()]
+    whole = np.isfinite(seen) & np.logical_and.reduce([np.isfinite(part) for part in shown])
+    layers = np.stack([part[whole] for part in shown]).astype(np.float64)
+    target, names, found = seen[whole].astype(np.float64), tuple(parts), []
+    light = np.abs(target).sum()
+    left = list(range(min(len(names), _MOST)))
+    for size in range(1, len(left) + 1):
+        for chosen in combinations(tuple(left), size):
+            if set(chosen) <= set(left) and np.abs(layers[list(chosen)].sum(axis=0) - target).sum() <= NEAR * light:
+                found.append(tuple(names[index] for index in chosen))
+                left = [index for index in left if index not in chosen]
+    return found
+
+
+def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str, np.ndarray]
+                ) -> tuple[tuple[Part, ...], list[str]]:
+    """Parts in groups by what a frame shows, and what the user should know of it.
+
+    Layers that were named one by one stay one group where they are no brighter than the picture together. Else each set
+    that adds up to the picture is a group, and every other layer one of its own, as nothing else tells its light.
+    """
+    parts = tuple(parts)
+    named = [part for part in parts if part.is_light and part.group == NAMED and part.name in pixels]
+    total = sum((pixels[part.name][::_STEP] for part in named), np.zeros_like(picture[::_STEP]))
+    excess, light = np.maximum(total - picture[::_STEP], 0), np.abs(picture[::_STEP])
+    valid = np.isfinite(excess) & np.isfinite(light)
+    if len(named) < 2 or excess[valid].sum(dtype=np.float64) <= NEAR * light[valid].sum(dtype=np.float64):
+        return parts, []
+    sets = find_sets(picture, {part.name: pixels[part.name] for part in named})
+    groups = {name: ",".join(names) for names in sets for name in names}
+    alone = [part.name for part in named if part.name not in groups]
+    notes = [f"parts {' and '.join(map(', '.join, sets))} each add up to the picture: they are taken as "
+             f"{len(sets)} sets"] if len(sets) > 1 else []
+    if alone:
+        notes.append(f"parts {', '.join(alone)} do not add up to the picture with others: each is filtered on its own")
+    grouped = tuple(replace(part, group=groups.get(part.name, part.name)) if part in named else part for part in parts)
+    return grouped, notes
 
 
 def read_parts(found: Mapping[str, FoundPart]) -> dict[str, np.ndarray]:

@@ -136,7 +136,7 @@ class Sequence:
         """The same frames of the first view alone; a warning names the others."""
         if not self.views:
             return self
-        self._warn(f"view {self.view} is looked at, not {', '.join(self.views)}: --view chooses one")
+        self.warn(f"view {self.view} is looked at, not {', '.join(self.views)}: --view chooses one")
         return self.reader()
 
     def pictures(self) -> Sequence:
@@ -264,7 +264,7 @@ class Sequence:
             files.close()
             raise ColourError(f"{files.path}: {error}") from None
         for warning in found:
-            self._warn(warning)
+            self.warn(warning)
         return files
 
     def read(
@@ -355,7 +355,7 @@ class Sequence:
         self._pictures[self.view] = frame.number, picture
         if is_wanted or motion.any():
             seen = ", ".join(role for role in (*SEEN, Role.DEPTH) if role in frame.planes)
-            self._warn(f"motion is estimated from {seen}, not taken from the files (--motion file: from them alone)")
+            self.warn(f"motion is estimated from {seen}, not taken from the files (--motion file: from them alone)")
             frame.planes[Role.MOTION] = motion
 
     def _picture_before(self, number: int) -> Picture | None:
@@ -400,16 +400,16 @@ class Sequence:
         found = [path.name for own in self.pattern.by_view().values() for path in own.find_overlooked()]
         if found:
             names = ", ".join(map(make_printable, found[:3])) + ", ..." * (len(found) > 3)
-            self._warn(f"{names}: fewer digits than frames of this pattern have: not read; rename them, or name the "
+            self.warn(f"{names}: fewer digits than frames of this pattern have: not read; rename them, or name the "
                        "frames with one #")
 
     def _is_after_gap(self, number: int, previous: int | None) -> bool:
         if previous is None or previous == number - self._step:
             return False
-        self._warn("frames are not consecutive: history is dropped where one was left out")
+        self.warn("frames are not consecutive: history is dropped where one was left out")
         return True
 
-    def _warn(self, warning: str) -> None:
+    def warn(self, warning: str) -> None:
         """Keep a warning and tell the log of it, once."""
         if warning not in self.warnings:
             self.warnings.append(warning)

@@ -11,6 +11,7 @@ import OpenImageIO as oiio
 
 from postfx.colour.views import BANDS
 from postfx.errors import WriteError
+from postfx.files import write_atomically
 from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot
 from postfx.report.frame_log import Row
 from postfx.report.pictures import png
@@ -79,7 +80,7 @@ def save_png(path: Path, pixels: np.ndarray) -> None:
     """Write uint8 (height, width, 3) as PNG; makes missing folders. Raises WriteError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(png(pixels))
+        write_atomically(path, lambda file: file.write(png(pixels)), durable=True)
     except OSError as error:
         raise WriteError(f"{path}: cannot be written: {error.strerror}; check the folder and its rights") from error
 

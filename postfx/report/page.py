@@ -15,6 +15,7 @@ from typing import Any
 
 from postfx.doctor.inspection import contact_sheet
 from postfx.errors import CommandError, SequenceError, WriteError
+from postfx.files import write_text
 from postfx.frame import Frame
 from postfx.io.writer import check_folder
 from postfx.report.capture_data import FILE, as_dict
@@ -89,7 +90,7 @@ def write_report(
     }
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page(title, "report", REPORT_SCRIPTS, data), encoding="utf-8")
+        write_text(path, page(title, "report", REPORT_SCRIPTS, data))
     except OSError as error:
         raise WriteError(f"report '{path}' cannot be written: {error.strerror or error}") from error
 
@@ -109,8 +110,8 @@ def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
     data = as_dict(capture)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / FILE).write_text(json.dumps(data, indent=1, allow_nan=False), encoding="utf-8")
-        (folder / PAGE).write_text(_page(capture, data, title), encoding="utf-8")
+        write_text(folder / FILE, json.dumps(data, indent=1, allow_nan=False))
+        write_text(folder / PAGE, _page(capture, data, title))
     except OSError as error:
         raise WriteError(f"capture in '{folder}' cannot be written: {error.strerror or error}") from error
     return folder / PAGE

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from postfx.errors import RunError
-from postfx.files import create_whole, is_process_alive, parse_json, read_text, remove
+from postfx.files import create_whole, is_process_alive, parse_json, read_text, remove, write_text
 
 
 class Process(NamedTuple):
@@ -194,7 +194,7 @@ class Claim:
             _refuse_shared(other, wanted)
         self.path = folder / f"{run}{SUFFIX}"
         facts = {"process": Process.me().as_dict(), "files": sorted(wanted)}
-        self.path.write_text(json.dumps(facts), encoding="utf-8")
+        write_text(self.path, json.dumps(facts))
         self._over = threading.Event()
         threading.Thread(target=self._beat, name="postfx claim", daemon=True).start()
 

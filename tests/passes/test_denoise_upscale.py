@@ -30,8 +30,8 @@ def colours(frames: list[Frame]) -> list[np.ndarray]:
     return [frame[Role.COLOUR] for frame in frames]
 
 
-@pytest.mark.parametrize("scale", [0.9, 3.1])
-def test_a_scale_out_of_range_is_an_error(scale: float) -> None:
+@pytest.mark.parametrize("scale", [0.9, 3.1, [2], "two", (1, 2)])
+def test_a_scale_out_of_range_is_an_error(scale: object) -> None:
     with pytest.raises(PassOptionError, match="scales by 1 to 3, not"):
         DenoiseUpscale(scale=scale)
 

@@ -3,6 +3,7 @@ reactive mask is made."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -29,16 +30,25 @@ class Size(NamedTuple):
 
 def validate_scale(scale: float | None) -> float | None:
     """The option `scale`; PassOptionError for an impossible one."""
-    if scale is not None and not LEAST <= float(scale) <= MOST:
-        raise PassOptionError(f"pass 'denoise_upscale' scales by 1 to 3, not {scale:g}: give a scale in between")
-    return None if scale is None else float(scale)
+    try:
+        found = None if scale is None else float(scale)
+    except (TypeError, ValueError):
+        found = math.nan
+    if found is not None and not LEAST <= found <= MOST:
+        shown = f"{found:g}" if isinstance(scale, int | float) else repr(scale)
+        raise PassOptionError(f"pass 'denoise_upscale' scales by 1 to 3, not {shown}: give a scale in between")
+    return found
 
 
 def validate_size(size: Sequence[int] | None, scale: float | None) -> Size | None:
     """The option `size`, width and height; PassOptionError for an impossible size, and for a size beside a scale."""
     if size is None:
         return None
-    if len(size) != 2 or min(size) < 1 or any(side != int(side) for side in size):
+    try:
+        is_size = len(size) == 2 and min(size) >= 1 and all(side == int(side) for side in size)
+    except (TypeError, ValueError, OverflowError):
+        is_size = False
+    if not is_size:
         raise PassOptionError(f"pass 'denoise_upscale' cannot make the size {size}: give width and height in pixels")
     if scale is not None:
         raise PassOptionError("pass 'denoise_upscale' has a scale and a size: give one of them")
