@@ -162,6 +162,11 @@ class Between:
         return 2 if min(self._size) >= LEAST_OF_CELLS else 1
 
     @cached_property
+    def _longest(self) -> np.float32:
+        """Pixels beyond which a vector stands for none, as some renderers write it."""
+        return np.float32(4 * max(self._size))
+
+    @cached_property
     def _grid(self) -> tuple[int, int]:
         """Rows and columns of cells."""
         return -(-self._size[0] // self._scale), -(-self._size[1] // self._scale)
@@ -245,7 +250,7 @@ class Between:
             return first, last
         known = np.ones(self._size, np.bool_)
         if self._both_have(Role.MOTION) and not self._both_have(Role.OPAQUE_COLOUR):
-            motion = self.after[Role.MOTION]
+            motion = _without_lost(self.after[Role.MOTION], self._longest)
             some = _finite(motion[::4, ::4])
             size = np.abs(some[..., 0]) + np.abs(some[..., 1])
             find_overlay(*self._pictures, motion, min(LONGEST, math.ceil(float(np.quantile(size, 0.99)))), known)
@@ -302,7 +307,7 @@ class Between:
                          np.full((1, self._size[1], count), DEPTH_MISS, np.float32)
                          for role, count in ((Role.MOTION, 2), (Role.DEPTH, 1)))
         found = new_array((*self._grid, 2)), new_array((*self._grid, 1))
-        paths.gather_cells(motion, depth, self._scale, np.float32(4 * max(self._size)), *found)
+        paths.gather_cells(motion, depth, self._scale, self._longest, *found)
         self._gathered.append((frame, found))
         return found
 
@@ -328,6 +333,9 @@ class Between:
         (came, near), (motion, far), *beyond = at_once([partial(self._cells_of, frame) for frame in frames])
         if Role.MOTION not in self.after:
             motion = self._enlarge(self._estimated[1])
+        elif self._flow and (is_lost := np.isnan(motion[..., 0])).any():
+            motion = np.where(is_lost[..., None], self._enlarge(self._estimated[1]), motion)
+            came = np.where(np.isnan(came), -self._enlarge(self._estimated[0]), came)
         if not has_depth:
             near, far = self._rank(motion)
         known_from_before = Role.MOTION in self.after and Role.MOTION in self.before and not self.before.reset
@@ -492,6 +500,12 @@ class Interpolator:
         """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
+
+
+def _without_lost(motion: np.ndarray, longest: np.float32) -> np.ndarray:
+    """Motion with NaN where it is longer than any, or where it is not finite."""
+    is_kept = np.abs(motion).max(axis=2, keepdims=True) <= longest
+    return motion if is_kept.all() else np.where(is_kept, motion, np.float32(np.nan))
 
 
 def _finite(plane: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import OpenImageIO as oiio
 from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file, with_slashes
-from postfx.frame import LINEAR, Frame, Role
+from postfx.frame import LINEAR, LOG, Frame, Role
 from postfx.io.encode import JPEG, Dither, Picture, encode, has_end, light_of, quantise, tag_codes, tag_light, to_halves
 from postfx.io.exr.container import COMPRESSIONS
 from postfx.io.exr.passthrough import enlargement_of, select_attributes, set_attributes
@@ -132,12 +132,56 @@ def write_frame(
             spec.attribute("compression", compression)
             set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
         pictures.append(Picture(spec, convert, view))
+    keep = not shown and enlargement_of(frame) is None if keep is None else keep  # only EXR keeps anything
+    is_lossy = not shown and compression.startswith(_LEVELLED)
+    if is_lossy and any(np.isnan(view[Role.COLOUR]).any() for view in (frame, *frame.views.values())):
+        LOG.warning("%s: pixels that are NaN become black by %s compression", path, compression)
     with output_file(path) as temporary:
-        keep = not shown and enlargement_of(frame) is None if keep is None else keep  # only EXR keeps anything
-        first, *others = pictures
-        encode(temporary, path.suffix.lower(), first.spec, first.convert, relax, frame if keep else None,
-               pictures if others else ())
+        for limit in _LIMITS if is_lossy else _LIMITS[:1]:
+            first, *others = [_limited(picture, limit) for picture in pictures]
+            encode(temporary, path.suffix.lower(), first.spec, first.convert, relax, frame if keep else None,
+                   [first, *others] if others else ())
+            if not is_lossy or _is_finite(temporary):
+                break
+    if limit is not None:
+        LOG.warning("%s: light above %d is cut there, as %s compression would make it infinite", path, limit, compression)
     return path
+
+
+_LIMITS = (None, 60000, 52000, 40000, 24000)
+"""Light at which pictures are cut, one after the other, until DWA compression, which errs by some percent of what is
+around a pixel, leaves all within half floats."""
+_CODED = ("r", "g", "b", "y", "ry", "by")
+"""Last words of the names of channels that DWA compression alters."""
+
+
+def _limited(picture: Picture, limit: float | None) -> Picture:
+    """A picture whose light is cut at a limit; other channels stay."""
+    if limit is None:
+        return picture
+    coded = [name.lower().rpartition(".")[2] in _CODED for name in picture.spec.channelnames]
+
+    def convert(rows: slice) -> np.ndarray:
+        pixels = picture.convert(rows)
+        return np.where(coded & (np.abs(pixels) > limit), np.copysign(pixels.dtype.type(limit), pixels), pixels)
+
+    return picture._replace(convert=convert)
+
+
+def _is_finite(path: Path) -> bool:
+    """Whether the light in an EXR file is finite; NaN counts, as it is not made by compression."""
+    image = oiio.ImageInput.open(str(path))
+    if image is None:
+        raise OSError(reason_of(oiio.geterror))
+    found, part = True, 0
+    while found and image.seek_subimage(part, 0):
+        names = [name.lower().rpartition(".")[2] in _CODED for name in image.spec().channelnames]
+        first, last = (names.index(True), len(names) - names[::-1].index(True)) if any(names) else (0, 0)
+        pixels = image.read_image(part, 0, first, last, oiio.HALF) if last and not image.spec().deep else None
+        found = pixels is None or not np.isinf(pixels.reshape(-1, last - first)[:, names[first:last]]).any()
+        part += 1
+    image.close()
+    return found
 
 
 def is_complete(path: str | PathLike[str], width: int, height: int) -> bool:

@@ -11,7 +11,7 @@ from PIL import Image
 from postfx.colour import REC709
 from postfx.colour.displays import parse_display, srgb_decode, srgb_encode
 from postfx.errors import OutputExistsError, WriteError
-from postfx.frame import Frame, Role
+from postfx.frame import Frame, PartSource, Role
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, is_complete, write_frame
 
@@ -269,3 +269,33 @@ def test_exr_headers_are_those_of_openimageio(tmp_path):
     assert ours.keys() == theirs.keys() and len(ours) > 14
     for name, value in ours.items():
         assert np.array_equal(value, theirs[name]) or str(value) == str(theirs[name]), name
+
+
+@pytest.mark.parametrize("compression", ["dwaa", "dwab", "dwaa:200"])
+@pytest.mark.parametrize("half", [True, False])
+def test_light_near_the_largest_half_stays_finite_in_lossy_compression(tmp_path, caplog, compression, half):
+    rng = np.random.default_rng(6)
+    light = np.full((64, 96, 3), 0.2, np.float32)
+    light[rng.random((64, 96)) < 0.1] = 65504
+    light[20:40, 20:40] = 60000 + 5500 * rng.random((20, 20, 3))
+    depth = np.full((64, 96, 1), 1e6, np.float32)
+    frame = Frame({Role.COLOUR: light}, parts={"Depth": depth}, part_sources={"Depth": PartSource(("Depth.Z",))})
+    write_frame(tmp_path / "a.exr", frame, half=half, compression=compression)
+    image = oiio.ImageBuf(str(tmp_path / "a.exr"))
+    found = dict(zip(image.spec().channelnames, np.moveaxis(image.get_pixels(oiio.FLOAT), 2, 0), strict=True))
+    assert np.isfinite(found["R"]).all() and found["R"][20:40, 20:40].min() > 40000
+    assert half or (found["Depth.Z"] == 1e6).all()
+    assert "as " + compression + " compression would make it infinite" in caplog.text
+
+
+def test_light_that_survives_lossy_compression_is_not_cut(tmp_path, caplog):
+    light = np.full((32, 32, 3), 30000, np.float32)
+    write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: light}), compression="dwaa")
+    assert not caplog.text
+
+
+def test_a_warning_says_that_lossy_compression_loses_nan(tmp_path, caplog):
+    light = np.full((32, 32, 3), 0.5, np.float32)
+    light[3, 4] = np.nan
+    write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: light}), compression="dwab")
+    assert "NaN become black" in caplog.text
