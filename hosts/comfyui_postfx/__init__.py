@@ -11,7 +11,6 @@ import hashlib
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,7 +66,8 @@ def _path(kind: str, path: str) -> str:
     folder = folder_paths.get_input_directory() if kind == "input" else folder_paths.get_output_directory()
     found, folder = os.path.abspath(os.path.join(folder, os.path.expanduser(path))), os.path.abspath(folder)
     if found != folder and not found.startswith(os.path.join(folder, "")):
-        raise OptionError(f"'{make_printable(path)}' is outside of ComfyUI's {kind} folder: give a path inside {folder}")
+        raise OptionError(f"'{make_printable(path)}' is outside of ComfyUI's {kind} folder: give one inside "
+                          f"{folder}")
     return found
 
 

@@ -8,7 +8,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, suppress
 from functools import partial
 from math import log2
 from pathlib import Path
@@ -120,6 +120,9 @@ class Job:
             size = self.plan.output.width, self.plan.output.height
             self.kept, skips = explain_kept(arguments, files, size, others)
             self.skips += skips
+        for number in {*self.sequence.numbers[1:2], *self.sequence.numbers[-1:]} - {self.first}:
+            with suppress(PostfxError):  # what is broken is told in its turn; here, planes that come late
+                self.sequence.open(number).close()
         if not arguments.explain and arguments.model != "classic" and device.memory.host_visible and not device.scratch:
             check_memory(self.plan, self.sequence)
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
@@ -273,6 +276,8 @@ class Job:
         MissingFrameError where missing frames stop the run: before the first one, not hours later.
         """
         progress.note(self.headline())
+        for warning in self.sequence.warnings:
+            progress.note(f"warning  {warning}")
         if self._arguments.verbose:
             progress.note(str(self.plan))
         wanted = [work.number for work in run.works if work.write]

@@ -31,8 +31,8 @@ from postfx.doctor import (
 from postfx.doctor.geometry import is_hit
 from postfx.doctor.material import Material, Reading, explain_roles, read_material
 from postfx.errors import WriteError
-from postfx.files import write_atomically
 from postfx.exposure import measure
+from postfx.files import write_atomically
 from postfx.frame import ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match
 from postfx.io.sequence import Sequence

@@ -51,6 +51,10 @@ class Camera:
         return math.degrees(2 * math.atan(math.tan(math.radians(self.fov_x) / 2) * width / self.display_size[0]))
 
 
+_NO_VECTOR = 65000.0
+"""Stored motion from here on stands for none, as NaN does: renderers write the largest half float, or 1e10."""
+
+
 def convert(
     plane: np.ndarray, rule: PlaneRule, camera: Camera, first: int = 0, height: int | None = None
 ) -> np.ndarray:
@@ -62,14 +66,14 @@ def convert(
     if rule.role is Role.DEPTH:
         return _depth(plane, rule, camera, first, height)
     missed = (plane == 0).all(axis=-1) if rule.role is Role.NORMAL and any(rule.offset) else None
+    is_known = (np.abs(plane) < _NO_VECTOR).all(axis=-1) if rule.role is Role.MOTION else None
     plane = _affine(plane, rule)
     if missed is not None:
         plane[missed] = 0
-    if rule.role is Role.MOTION:
+    if is_known is not None:
         plane = _motion_pixels(plane, rule, camera, *(camera.display_size or (plane.shape[1], height)))
-        finite = np.isfinite(plane)
-        if not finite.all():
-            plane[~finite] = 0
+        if not is_known.all():
+            plane[~is_known] = 0
     if rule.role is Role.NORMAL and rule.space != "world":
         assert camera.world_to_camera is not None, "the plane is not used without a worldToCamera header"
         if rule.space == "view" and np.linalg.det(camera.world_to_camera[:3, :3]) < 0:

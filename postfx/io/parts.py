@@ -166,7 +166,7 @@ _STEP, _MOST = 8, 14
 
 
 def find_sets(picture: np.ndarray, parts: Mapping[str, np.ndarray]) -> list[tuple[str, ...]]:
-    """Layers (h, w, 1 or 3) in sets, none of them in two, of which each adds up to the picture; the smallest come first.
+    """Layers (h, w, 1 or 3) in sets that each add up to the picture, none of them in two; the smallest come first.
 
     Layers that are in no set are left out.
     """

@@ -144,7 +144,8 @@ def write_frame(
             if not is_lossy or _is_finite(temporary):
                 break
     if limit is not None:
-        LOG.warning("%s: light above %d is cut there, as %s compression would make it infinite", path, limit, compression)
+        LOG.warning("%s: light above %d is cut there, as %s compression would make it infinite", path, limit,
+                    compression)
     return path
 
 

@@ -11,8 +11,8 @@ import OpenImageIO as oiio
 
 from postfx.colour.views import BANDS
 from postfx.errors import WriteError
-from postfx.files import write_atomically
 from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot
+from postfx.files import write_atomically
 from postfx.report.frame_log import Row
 from postfx.report.pictures import png
 

@@ -123,7 +123,7 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
     packages = plug_ins() if foreign else {}  # looking through all installed packages takes milliseconds
     used = versions() | {f"pass {name}": packages[name] for name in sorted(foreign & packages.keys())}
     own = [_hashes_of(value) for step in plan.steps for value in step.instance.options.values()]
-    where = {key: value for key, value in place.items() if key != "threads"}  # by any number of them pixels are the same
+    where = {key: value for key, value in place.items() if key != "threads"}  # pixels are the same by any number
     decisive = [settings, passes, used, where, plan.as_dict(), models, own, *also]
     text = json.dumps(decisive, sort_keys=True, default=str)
     return Provenance(settings, passes, used, place, hashlib.sha256(text.encode()).hexdigest(), files)

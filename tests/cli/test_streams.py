@@ -76,8 +76,8 @@ ESCAPE = "\x1b[31m\x1b]0;title\x07\x9b2J"
 
 @pytest.mark.parametrize("verb", ["inspect", "run {} -o out/ --dry-run", "run {} -o out/ --denoise-only --overwrite "
                                   "--model classic", "inspect {} --profile {}.toml", "verify {}", "exposure {}",
-                                  "chunks {} -o out/ --size 1 --", "interpolate {} -o between/", "{}", "run {}x -o out/",
-                                  "config", "bench {} -o b/", "models --{}", "run --{}"])
+                                  "chunks {} -o out/ --size 1 --", "interpolate {} -o between/", "{}",
+                                  "run {}x -o out/", "config", "bench {} -o b/", "models --{}", "run --{}"])
 def test_no_name_controls_the_terminal(tmp_path, verb):
     folder = tmp_path / f"a{ESCAPE}"
     folder.mkdir()

@@ -420,3 +420,21 @@ def test_a_spark_without_vectors_is_shown_once_and_keeps_its_light(scene):
     layer[6:20, 16:80, 3] = 0  # what is below is black elsewhere
     covered = [replace(frame, planes={**frame.planes, Role.OVERLAY: layer}) for frame in frames]
     assert not Between(*covered, composited=True)._sparks
+
+
+@pytest.mark.parametrize("none", [np.nan, 1e10, -65504.0])
+def test_vectors_that_stand_for_none_are_estimated(none):
+    """Something textured pans by three pixels, of which only a part has vectors."""
+    rows, columns = np.mgrid[0:96, 0:160].astype(np.float32)
+
+    def shot(time: float) -> Frame:
+        light = sum(np.sin(k * (columns + 3 * time) + j * rows + k) for k, j in ((0.1, 0.2), (0.31, -0.2), (0.7, 0.5)))
+        colour = np.repeat((0.5 + 0.15 * light)[..., None], 3, axis=2)
+        motion = np.zeros((96, 160, 2), np.float32) + (3, 0)
+        motion[:, 40:] = none
+        planes = {Role.COLOUR: colour, Role.MOTION: motion, Role.DEPTH: np.full((96, 160, 1), 5.0, np.float32)}
+        return Frame(planes)
+
+    found = Between(shot(0), shot(1)).frame(0.5)[Role.COLOUR]
+    error = np.abs(found - shot(0.5)[Role.COLOUR])[8:-8, 8:-8].mean()
+    assert error < 0.2 * np.abs((shot(0)[Role.COLOUR] + shot(1)[Role.COLOUR]) / 2 - shot(0.5)[Role.COLOUR]).mean()

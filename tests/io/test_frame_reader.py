@@ -9,7 +9,7 @@ from postfx.errors import MissingPlaneError, ProfileError, ReadError
 from postfx.frame import DEPTH_MISS, Role
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.profile import load_profile, profile_names
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from postfx.system import Scratch
 
 TURN = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [1, 2, 3, 1]], np.float32)
@@ -233,3 +233,12 @@ def test_channel_names_are_shown_short(write_exr, ramp):
     with open_files(write_exr("a.exr", ramp("R", "G", "B", "albedo.R", "albedo.G", "albedo.B"))) as files:
         shown = {role: match.names for role, match in files.layout.planes.items()}
     assert shown == {Role.COLOUR: "R,G,B", Role.DIFFUSE_ALBEDO: "albedo.R,G,B"}
+
+
+@pytest.mark.parametrize("none", [np.nan, np.inf, 1e10, -65504.0, (np.nan, 3.0)])
+def test_vectors_that_stand_for_none_are_no_motion(write_exr, ramp, none):
+    channels = ramp("R", "G", "B", "motion.X", "motion.Y")
+    channels["motion.X"][1, 2], channels["motion.Y"][1, 2] = none if isinstance(none, tuple) else (none, none)
+    (frame,) = read_sequence(write_exr("a.exr", channels))
+    motion = frame[Role.MOTION]
+    assert (motion[1, 2] == 0).all() and (motion != 0).any(axis=2).sum() == motion.shape[0] * motion.shape[1] - 1

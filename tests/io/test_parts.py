@@ -10,8 +10,8 @@ import pytest
 
 from postfx.cli.main import main
 from postfx.errors import MissingPlaneError, OptionError
-from postfx.frame import Role
-from postfx.io.parts import parse_parts
+from postfx.frame import Part, Role
+from postfx.io.parts import find_sets, group_parts, parse_parts
 from postfx.io.sequence import Sequence
 from tests.passes.denoise_frames import noisy
 
@@ -207,3 +207,38 @@ def test_parts_add_up_to_the_picture_of_both_ways(tmp_path: Path) -> None:
     found, ahead = read(tmp_path / "b.0001.exr"), read(tmp_path / "c.0001.exr")
     np.testing.assert_allclose(layer(found, "key") + layer(found, "fill"), layer(found, ""), rtol=1e-4, atol=1e-6)
     assert np.abs(layer(found, "") - layer(ahead, "")).mean() > 1e-3
+
+
+@pytest.fixture
+def two_splits() -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """A picture, and its light by lamp and by surface."""
+    rng = np.random.default_rng(1)
+    key, fill = rng.random((2, 32, 40, 3)).astype(np.float32)
+    picture = key + fill
+    return picture, {"key": key, "diffuse": 0.7 * picture, "fill": fill, "specular": 0.3 * picture}
+
+
+def test_sets_that_each_add_up_to_the_picture_are_found(two_splits):
+    picture, parts = two_splits
+    assert find_sets(picture, parts) == [("key", "fill"), ("diffuse", "specular")]
+    assert find_sets(picture, {"whole": picture, **parts})[0] == ("whole",)
+    assert find_sets(picture, {"key": parts["key"], "diffuse": parts["diffuse"]}) == []
+
+
+def test_layers_that_are_too_bright_together_are_grouped_by_sets_and_what_is_left_is_named(two_splits):
+    picture, pixels = two_splits
+    parts = [Part(name, "light", "named") for name in pixels]
+    grouped, (note,) = group_parts(parts, picture, pixels)
+    assert [part.group for part in grouped] == ["key,fill", "diffuse,specular", "key,fill", "diffuse,specular"]
+    assert note == "parts key, fill and diffuse, specular each add up to the picture: they are taken as 2 sets"
+    more, glow = pixels | {"glow": 2 * picture}, Part("glow", "light", "named")
+    grouped, notes = group_parts([*parts, glow], picture, more)
+    assert grouped[-1].group == "glow" and len({part.group for part in grouped}) == 3
+    assert notes[1] == "parts glow do not add up to the picture with others: each is filtered on its own"
+
+
+def test_some_parts_of_the_picture_stay_one_group_in_silence(two_splits):
+    picture, pixels = two_splits
+    for names in (("key",), ("key", "fill"), ("diffuse", "specular")):
+        parts = tuple(Part(name, "light", "named") for name in names)
+        assert group_parts(parts, picture, pixels) == (parts, [])

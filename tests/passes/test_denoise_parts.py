@@ -261,7 +261,8 @@ def test_alpha_is_denoised_where_it_is_noisy_and_left_alone_where_it_is_clean(de
     frame = lit(1)
     noise = np.random.default_rng(3).random((37, 50, 1), np.float32)
     noisy_alpha = replace(frame, planes={**frame.planes, Role.ALPHA: (0.6 > noise) * (0.5 + 0.5 * noise)})
-    clean = replace(frame, planes={**frame.planes, Role.ALPHA: (noise > 0.5).astype(np.float32)})
+    drawn = np.kron(np.random.default_rng(3).random((8, 10)) > 0.5, np.ones((5, 5), np.bool_))[:37, :50, None]
+    clean = replace(frame, planes={**frame.planes, Role.ALPHA: drawn.astype(np.float32)})
     resampled = upscaler(device, alpha=False)
     denoised, again, *others = (upscaler(device) for _ in range(4))
     assert np.array_equal(denoised(clean)[Role.ALPHA], resampled(clean)[Role.ALPHA])
@@ -378,3 +379,19 @@ def test_values_that_no_file_should_hold_do_not_spread(device: Device) -> None:
     for current in (frame, lit(2)):
         found = pipeline(current)
         assert all(np.isfinite(part).all() and part.min() >= 0 for part in found.parts.values())
+
+
+def test_alpha_of_one_sample_a_pixel_is_denoised():
+    """It is 0 or 1 everywhere, and noise all the same; a mask that was drawn stays."""
+    rng, (rows, columns) = np.random.default_rng(4), np.mgrid[0:64, 0:96]
+    cover = np.clip((20 - np.hypot(columns - 48, rows - 32)) / 14 + 0.5, 0, 1)
+    noisy = (rng.random(cover.shape) < cover).astype(np.float32)
+    drawn = (cover > 0.5).astype(np.float32)
+    drawn[5] = 1  # a wire
+    pipeline = Pipeline([DenoiseUpscale(scale=1, model="s")], Device("cpu"))
+    made = []
+    for alpha in (noisy, drawn):
+        colour = np.repeat(0.5 * alpha[..., None], 3, axis=2)
+        made.append(pipeline(Frame({Role.COLOUR: colour, Role.ALPHA: alpha}, reset=True))[Role.ALPHA][..., 0])
+    assert np.mean((made[0] - cover) ** 2) < 0.3 * np.mean((noisy - cover) ** 2)
+    np.testing.assert_array_equal(made[1], drawn)

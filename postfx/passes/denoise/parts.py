@@ -459,6 +459,20 @@ def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
 
 
 def _is_noisy(frame: ResidentFrame) -> bool:
-    """Whether any alpha is neither 0 nor 1."""
+    """Whether alpha has noise to filter: values between 0 and 1, or the holes and specks of one sample a pixel."""
     alpha = frame.host_planes.get(Role.ALPHA)
-    return alpha is not None and bool(((alpha > 0) & (alpha < 1)).any())
+    if alpha is None:
+        return False
+    return bool(((alpha > 0) & (alpha < 1)).any()) or is_speckled(alpha[..., 0] > 0)
+
+
+SPECKLED = 0.02
+"""Share of the pixels at edges that are alone among others, both covered and not, from which that is noise."""
+
+
+def is_speckled(covered: np.ndarray) -> bool:
+    """Whether a mask (h, w) has lone pixels of both kinds: wires are lone covered ones, and gaps lone empty ones."""
+    around = three_by_three(covered.astype(np.float32), 1, np.add)
+    edges = np.count_nonzero((around > 0) & (around < 9))
+    specks, holes = np.count_nonzero(covered & (around <= 3)), np.count_nonzero(~covered & (around >= 6))
+    return edges > 0 and min(specks, holes) > SPECKLED * edges
