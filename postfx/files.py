@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 from postfx.errors import ReadError, WriteError
-from postfx.system import Workers
+from postfx.workers import Workers
 
 MAX_BYTES = 1 << 30
 """Largest file that `read_text` reads unless told otherwise."""

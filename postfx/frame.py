@@ -379,7 +379,8 @@ class Frame:
             found = np.empty(0)
         if value is None or found.size != count:
             words = "a number" if count == 1 else f"{count} numbers"
-            raise FrameError(f"frame {self._name()} has {name} {value!r}: give {words}")
+            shown = " ".join(repr(value).split())[:60]
+            raise FrameError(f"frame {self._name()} has {name} {shown}: give {words}")
         return found
 
     @property

@@ -82,7 +82,7 @@ def safe_streams() -> Iterator[None]:
             os.open(os.devnull, os.O_RDWR)  # which takes the lowest free number
     before = sys.stdout, sys.stderr
     opened = [stream or open(os.devnull, "w", encoding="utf-8") for stream in before]
-    sys.stdout, sys.stderr = map(SafeStream, opened)  # type: ignore[assignment]
+    sys.stdout, sys.stderr = map(SafeStream, opened)
     try:
         yield
     finally:

@@ -21,15 +21,16 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from postfx.errors import FrameError, MemoryBudgetError
+from postfx.workers import Workers
 
 _PACKAGE = Path(__file__).resolve().parent
 MOST_HEAPS = -8  # M_ARENA_MAX of glibc's malloc.h
@@ -139,29 +140,6 @@ def _numbers(folder: Path, names: tuple[tuple[str, ...], ...]) -> Iterator[list[
 
 
 # Work that threads share
-
-
-class Workers(ThreadPoolExecutor):
-    """A pool of threads that also serves the program's own threads while the interpreter waits for them to end: pools
-    of Python refuse work from the moment that the main thread is done."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Start a function; its result or error is in the future."""
-        try:
-            return super().submit(fn, *args, **kwargs)
-        except RuntimeError as error:
-            if "interpreter shutdown" not in str(error):
-                raise
-        future: Future[Any] = Future()
-        threading.Thread(target=_fulfil, args=(future, partial(fn, *args, **kwargs))).start()
-        return future
-
-
-def _fulfil(future: Future[Any], task: Callable[[], Any]) -> None:
-    try:
-        future.set_result(task())
-    except BaseException as error:
-        future.set_exception(error)
 
 
 @cache

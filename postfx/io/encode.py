@@ -31,7 +31,7 @@ from postfx.io.exr.passthrough import merge_source
 from postfx.io.exr.views import View, merge_views
 from postfx.io.windows import Pixels
 from postfx.kernels.pixel_formats import dither_rows, halve, look_up, paeth
-from postfx.system import Workers
+from postfx.workers import Workers
 
 _STEPS = 1 << 16
 

@@ -19,7 +19,8 @@ from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, value_at
 from postfx.io.convert import SEEN, camera_equations, centre_positions, fit_camera
 from postfx.kernels.numeric import Real, compiled
-from postfx.system import Workers, usable_cores
+from postfx.system import usable_cores
+from postfx.workers import Workers
 
 MOST = 640
 """Pixels of a picture's longer side; larger frames are halved, or taken in thirds, and so on."""

@@ -34,8 +34,9 @@ from postfx.runtime.session import CPU, Placement, Provider, Session, find_provi
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, name_of, size_in_bytes
 from postfx.runtime.threads import Band, CommandQueue, Helpers, Slots, wait_for_all
-from postfx.system import Scratch, Workers, usable_cores
+from postfx.system import Scratch, usable_cores
 from postfx.version import pip_install
+from postfx.workers import Workers
 
 if TYPE_CHECKING:
     from postfx.kernels import Kernel

@@ -29,7 +29,7 @@ import numpy as np
 from postfx.errors import CommandError, CommandTimeout
 from postfx.kernels.native import MOST_WORDS, BoundRows, intrinsic, ir, types
 from postfx.kernels.numeric import compiled
-from postfx.system import Workers
+from postfx.workers import Workers
 
 LOOK = 100e-6
 """Seconds that a thread spins before it sleeps: more than the gap between two kernels."""

@@ -14,6 +14,7 @@ import urllib.error
 import urllib.request
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -225,3 +226,21 @@ def test_in_comfyui_itself(server, tmp_path):
 
     happened, _ = comfy.run(interrupt, **long)
     assert happened["execution_interrupted"]["node_id"] == "images"
+
+
+@pytest.mark.parametrize("path", ["../out.####.exr", "/etc/out.####.exr", "~/out.####.exr", "a/../../out.####.exr"])
+def test_no_path_leaves_comfyuis_folders(nodes, tmp_path, monkeypatch, path):
+    """Workflows come from other people."""
+    for kind in ("input", "output"):
+        (tmp_path / kind).mkdir()
+    folders = SimpleNamespace(get_input_directory=lambda: str(tmp_path / "input"),
+                              get_output_directory=lambda: str(tmp_path / "output"))
+    monkeypatch.setitem(sys.modules, "folder_paths", folders)
+    shot = call(nodes, "PostfxImagesToFrames", images=torch.ones((1, 8, 8, 3)), encoding="linear")
+    with pytest.raises(PostfxError, match="is outside of ComfyUI's output folder"):
+        call(nodes, "PostfxSaveFrames", frames=shot, output=path)
+    with pytest.raises(PostfxError, match="is outside of ComfyUI's input folder"):
+        call(nodes, "PostfxLoadSequence", pattern=path)
+    call(nodes, "PostfxSaveFrames", frames=shot, output="a/b.####.exr")
+    call(nodes, "PostfxSaveFrames", frames=shot, output=str(tmp_path / "output/c.####.exr"))
+    assert len(list((tmp_path / "output").rglob("*.exr"))) == 2

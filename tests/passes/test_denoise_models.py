@@ -121,6 +121,13 @@ def test_its_models_are_part_of_a_runs_settings(nets: Path, options: dict, monke
     assert fingerprint() != before
 
 
+def test_the_number_of_threads_is_no_part_of_a_fingerprint() -> None:
+    """Pixels do not depend on it, so a run goes on with another."""
+    plan = Pipeline([DenoiseUpscale(model="s.fp32")], CPU).explain(FrameSpec(8, 8, (Role.COLOUR,)))
+    one, other = (provenance_of({}, plan, Device("cpu", threads=count)) for count in (1, 2))
+    assert one.fingerprint == other.fingerprint and one.device["threads"] != other.device["threads"]
+
+
 @pytest.mark.parametrize(("model", "library", "message"), [
     ("none.onnx", None, "model '.*none.onnx': no such file"),
     ("mine.1x.onnx", None, "model '.*mine.1x.onnx' runs where the output has the render size: give .*/mine.onnx'"),
