@@ -5,7 +5,8 @@
     python -m training.denoise.checkpoint mix a/checkpoint.pt:0.85 denoise_upscale.m.1x.onnx:0.15 -o mixed.pt
 
 A checkpoint of a run holds everything that training needs to continue. One for export or --start holds only `config`,
-`weights` and `notes`. `pack` writes one for the repository, from which a training goes on (--continue). `mix` averages the weights of networks: on scenes of other renderers the
+`weights` and `notes`. `pack` writes one for the repository, from which a training goes on (--continue).
+`mix` averages the weights of networks: on scenes of other renderers the
 mean of two trainings is often better than either.
 """
 

@@ -50,7 +50,7 @@ WARM_STEPS = 500  # over which the learning rate rises: where it rises faster, u
 DECAY = 0.9995  # of the average of the weights
 LARGEST_NORM = 1.0  # of a gradient
 PLAYING = 8  # playbacks between which --carry draws
-PLACES = ("clips", "out", "start", "resume", "onward", "log")  # arguments that name files; a checkpoint does not keep them
+PLACES = ("clips", "out", "start", "resume", "onward", "log")  # arguments that name files: no checkpoint keeps them
 
 
 def options() -> argparse.ArgumentParser:
@@ -352,8 +352,9 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
             recent.clear()
             if rank == 0:
                 seconds = time.monotonic() - start
-                print(f"step {step} {seconds:.0f} s clips {len(pool)} rate {rate:.2e} loss {values[0]:.4f} psnr {values[1]:.2f} "
-                      f"flicker {values[2]:.4f} norm {values[3]:.3f} non-finite {int(flat.nonfinite)}", flush=True)
+                print(f"step {step} {seconds:.0f} s clips {len(pool)} rate {rate:.2e} loss {values[0]:.4f} "
+                      f"psnr {values[1]:.2f} flicker {values[2]:.4f} norm {values[3]:.3f} "
+                      f"non-finite {int(flat.nonfinite)}", flush=True)
                 add_row(args.out / "log.csv", step, round(seconds, 1), rate, *values)
         if time.monotonic() - kept > 60 * KEEP_MINUTES:
             if world > 1:
