@@ -333,7 +333,8 @@ class Learner:
             "network": self._facts, "parameters": self.parameters, "points": rows, "values": values}))
 
     def learn(self, encoder: ComputeEncoder, points: Tensor, targets: Tensor) -> None:
-        """Record one step of Adam on the mean squared error of the points that are learnt, and barriers around its update of the parameters.
+        """Record one step of Adam on the mean squared error of the points that are learnt, and barriers around its
+        update of the parameters.
 
         Args:
             points: (points, inputs).

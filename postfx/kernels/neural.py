@@ -23,8 +23,8 @@ lies in a cell of a regular grid; the numbers at its corners, which are entries 
   numbers + others). grid holds dims, numbers, entries (a power of two), levels, and each level's cells along an axis.
 - `GRID_PULL`: grid, points and pulls as above -> sums (levels, entries * numbers), the derivatives by the table in
   units of 1 / UNITS: whole numbers, whose sum is the same in any order.
-- `GRID_STEP`: one step of Adam, with the partials of the network, for entries that a point reached; table and moments (levels, entries * numbers, 3)
-  change in place.
+- `GRID_STEP`: one step of Adam, with the partials of the network, for entries that a point reached; table and moments
+  (levels, entries * numbers, 3) change in place.
 """
 
 from __future__ import annotations

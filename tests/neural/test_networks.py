@@ -355,7 +355,8 @@ def test_the_cuda_kernels_of_a_grid_compute_what_the_compiled_rows_do(dims):
     hyper, partials = np.float32([0.01, *DECAYS, EPSILON]), np.full((2, 7), 0.25, np.float32)
     states = [(table.copy(), np.full((5, 512, 3), 0.5, np.float32)) for _ in range(2)]
     GRID_STEP.rows(0, 5, made, partials, hyper, *states[0])
-    host_cuda.run(GRID_STEP, {"sums": made, "partials": partials, "hyper": hyper, "table": states[1][0], "moments": states[1][1]})
+    host_cuda.run(GRID_STEP, {"sums": made, "partials": partials, "hyper": hyper, "table": states[1][0],
+                              "moments": states[1][1]})
     for one, other in zip(*states, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
 
