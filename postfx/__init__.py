@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from postfx.passes.denoise.options import RenderSize
     from postfx.passes.tonemap import ToneMap
     from postfx.pipeline import Pipeline
+    from postfx.presenter import Presenter
     from postfx.runtime import Device, Library
     from postfx.stills import denoise
     from postfx.system import models_dir
@@ -48,6 +49,7 @@ _HOMES = {
     "Overlay": "postfx.passes.composite",
     "Pipeline": "postfx.pipeline",
     "PostfxError": "postfx.errors",
+    "Presenter": "postfx.presenter",
     "ROLES": "postfx.frame",
     "Role": "postfx.frame",
     "RenderSize": "postfx.passes.denoise.options",
@@ -74,6 +76,7 @@ __all__ = [
     "Overlay",
     "Pipeline",
     "PostfxError",
+    "Presenter",
     "ROLES",
     "RenderSize",
     "Role",

@@ -22,6 +22,7 @@ PUBLIC = [
     "Overlay",
     "Pipeline",
     "PostfxError",
+    "Presenter",
     "ROLES",
     "RenderSize",
     "Role",

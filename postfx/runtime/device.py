@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import re
@@ -31,7 +32,18 @@ from postfx.runtime.heap import Heap
 from postfx.runtime.memory import CUDA, HOST, HOST_KINDS, HostMemory, Immediate, Memory, address, borrow, byte_span
 from postfx.runtime.model_file import Product, fix_dimensions, take_products
 from postfx.runtime.models import Library
-from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, ort, parse_provider
+from postfx.runtime.session import (
+    CPU,
+    Placement,
+    Provider,
+    Session,
+    TableSession,
+    find_provider,
+    first_line,
+    has_networks,
+    ort,
+    parse_provider,
+)
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, name_of, size_in_bytes
 from postfx.runtime.threads import Band, CommandQueue, Helpers, Slots, wait_for_all
@@ -258,8 +270,12 @@ class Device:
         return PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken,
                              products)
 
-    def _session(self, content: bytes, library: Library, name: str, placement: Placement, fixed: Dims) -> Session:
-        """A network's session, all of whose dimensions are fixed."""
+    def _session(self, content: bytes, library: Library, name: str, placement: Placement,
+                 fixed: Dims) -> Session | TableSession:
+        """A network's session, all of whose dimensions are fixed; without ONNX Runtime its tables, if it is no more."""
+        if not has_networks():
+            with contextlib.suppress(ValueError):
+                return TableSession(content)
         named = {key: size for key, size in fixed.items() if isinstance(key, str)}
         session = Session(content, name, placement, named, library.path(name).parent,
                           placement.provider != CPU and placement.stream != 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,9 +39,11 @@ from postfx.passes.denoise.options import Size, output_size, parse_reactive, val
 from postfx.passes.denoise.parts import checked_parts
 from postfx.passes.denoise.planes import ABSENT, passthrough_roles
 from postfx.passes.denoise.tiling import Sizes, active_cells
-from postfx.runtime import CommandBuffer, Device, Library, Tensor
+from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
 PLANES = tuple(ABSENT)
+NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stands in for the network, and more noise "
+               "stays: install it, or accept that by the model classic")
 PART_FILTERS = "picture", "own"
 """Values of the option `part_filters`: whose filters parts get."""
 NETWORK = "network "
@@ -118,9 +121,17 @@ class DenoiseUpscale(Pass):
         self._used: str | None = None
         self._cameras = Cameras()
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
-        self._tag = validate_tag(str(model), own)
+        asked = validate_tag(str(model), own)
+        self._tag = CLASSIC if self._falls_back(asked) else asked
+        self._is_fallback = self._tag != asked
+        if self._is_fallback:
+            warnings.warn(NO_NETWORKS, RuntimeWarning, stacklevel=2)
         if self._tag == CLASSIC and self._parts:
             raise PassOptionError("model 'classic' filters no parts: give a network, or no parts")
+
+    def _falls_back(self, tag: str) -> bool:
+        """Whether the classical filter stands in for a network, because nothing runs networks here."""
+        return not has_networks() and "/" not in tag and CLASSIC in family(tag) and not self._parts
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         carried = passthrough_roles(spec)
@@ -144,7 +155,8 @@ class DenoiseUpscale(Pass):
         can_be_estimated = any(map(spec.has, (Role.DIFFUSE_ALBEDO, Role.NORMAL)))
         remedy = "--motion auto estimates it" if can_be_estimated else "render it, or albedo to estimate it from"
         alone = f"no motion plane, so every frame is denoised alone and may flicker: {remedy}"
-        found = [] if spec.has(Role.MOTION) else [alone]
+        found = [NO_NETWORKS] if self._is_fallback else []
+        found += [] if spec.has(Role.MOTION) else [alone]
         found += [f"blurs more without the planes {', '.join(lost)}"] if lost else []
         found += unscaled_remarks(self._tag) if self._is_render_size(spec) else []
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
