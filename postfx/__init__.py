@@ -12,10 +12,13 @@ on the way goes to the logger "postfx".
 Everything public is named here and loaded on first use.
 """
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from postfx.version import __version__
+
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by ONNX Runtime as it is loaded, here and in workers
 
 if TYPE_CHECKING:
     from postfx.errors import PostfxError

@@ -9,7 +9,6 @@ import re
 import threading
 import warnings
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, cached_property
 from itertools import pairwise
@@ -47,7 +46,7 @@ from postfx.runtime.session import (
 from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, name_of, size_in_bytes
 from postfx.runtime.threads import Band, CommandQueue, Helpers, Slots, wait_for_all
-from postfx.system import Scratch, usable_cores
+from postfx.system import Scratch, Workers, usable_cores
 from postfx.version import pip_install
 
 if TYPE_CHECKING:
@@ -131,14 +130,14 @@ class Device:
         return CommandQueue(f"postfx {self.name}")
 
     @cached_property
-    def lanes(self) -> ThreadPoolExecutor:
+    def lanes(self) -> Workers:
         """Threads for commands that run side by side."""
-        return ThreadPoolExecutor(self.threads, thread_name_prefix="postfx lane")
+        return Workers(self.threads, thread_name_prefix="postfx lane")
 
     @cached_property
-    def coordinators(self) -> ThreadPoolExecutor:
+    def coordinators(self) -> Workers:
         """Threads that wait for the commands of buffers which run beside others."""
-        return ThreadPoolExecutor(self.threads, thread_name_prefix="postfx buffer")
+        return Workers(self.threads, thread_name_prefix="postfx buffer")
 
     @cached_property
     def slots(self) -> Slots:

@@ -13,6 +13,7 @@ import os
 import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
@@ -46,6 +47,9 @@ class _Missing:
 
 try:
     import onnxruntime as ort
+
+    with suppress(AttributeError, RuntimeError):
+        ort.disable_telemetry_events()  # of one that the program had loaded before postfx
 except ImportError:
     ort = _Missing()
 
