@@ -73,7 +73,7 @@ class Job:
 
 
 class Settings(bpy.types.PropertyGroup):
-    scale: bpy.props.FloatProperty(name="Scale", default=2.0, min=1.0, max=3.0, description="Output over render size")
+    scale: bpy.props.FloatProperty(name="Scale", default=1.0, min=1.0, max=3.0, description="Output over render size")
     model: bpy.props.EnumProperty(name="Network", default="m", items=[
         ("s", "Small", "Fastest"), ("m", "Medium", "Recommended"), ("l", "Large", "Best")])
     strength: bpy.props.FloatProperty(name="Strength", default=1.0, min=0.0, max=1.0)
@@ -202,7 +202,6 @@ class Denoise(bpy.types.Operator):
             return False
         options = ["--scale", str(round(settings.scale, 3)), "--model", settings.model,
                    "--strength", str(round(settings.strength, 3))]
-        options += [] if self.whole else ["--preroll", "auto"]
         self._frames = list(wanted)
         self._job = Job(command, source, output, ",".join(map(str, wanted)), options)
         return True

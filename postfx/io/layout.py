@@ -63,6 +63,11 @@ class Layout:
     chosen_layer: str | None = None
     """The view layer that was chosen among several; None if there are not several."""
 
+    def hints(self) -> dict[Role, str]:
+        """Role -> where the user switches the plane on in the renderer, of those of which that is known."""
+        rules = ((role, [rule.enable for rule in self.profile.rules(role) if rule.enable]) for role in Role)
+        return {role: hints[0] for role, hints in rules if hints}
+
 
 class Header:
     """Header attributes by the names that a profile gives them."""
