@@ -36,7 +36,7 @@ args = parser.parse_args()
 
 shot = postfx.read_sequence(ROOM / "noisy.####.exr")
 references = postfx.read_sequence(ROOM / "reference.####.exr")
-later = postfx.Backwards(shot, model=args.model)
+later = postfx.Backwards(shot, scale=2, model=args.model)
 forwards = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=args.model)])
 run_up = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=args.model)], run_up=postfx.RunUp(shot))
 both = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=args.model), postfx.BothWays()])

@@ -386,7 +386,14 @@ class Job:
         return self._backwards(frame, write, stop.check)
 
     def _read(self, run: Run, work: Work) -> Frame | None:
-        return self._faults.read(work.number, work.write, partial(self._read_checked, run, work.number))
+        read = partial(self._read_checked, run, work.number)
+        if work.number in self.sequence.numbers:
+            return self._faults.read(work.number, work.write, read)
+        try:
+            return read()
+        except PostfxError as error:  # of a frame that nobody asked for
+            self._warnings.append(f"the history begins after frame {work.number}: {error}")
+            return None
 
     def _read_checked(self, run: Run, number: int) -> Frame:
         read = partial(self.sequence.read, number, self.plan.planes, self._guides)
