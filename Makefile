@@ -47,7 +47,7 @@ page: $(VENV)/installed-docs
 # The extension for Blender 4.2 and later, to install by Preferences > Get Extensions > Install from Disk.
 blender:
 	@mkdir -p dist
-	cd hosts/blender_postfx && $(PYTHON) -m zipfile -c ../../dist/postfx-blender.zip blender_manifest.toml __init__.py
+	cd hosts/blender_postfx && $(PYTHON) -m zipfile -c ../../dist/postfx-blender.zip blender_manifest.toml __init__.py LICENSE
 	@echo dist/postfx-blender.zip
 
 # The tests of files and of the command line, as if on Windows: without what only POSIX has.

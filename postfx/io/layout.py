@@ -19,6 +19,7 @@ from postfx.io.convert import Camera, DepthOption, missing_error, missing_number
 from postfx.io.profile import DetectRule, PlaneRule, Profile, load_profile, profile_names
 from postfx.io.windows import PICTURE
 
+
 def _picture_rules(told: str) -> tuple[PlaneRule, ...]:
     """Rules for a picture that an earlier run wrote: under its own names, if these are not plain R, G, B."""
     names = told.split(",")
@@ -30,7 +31,8 @@ def _picture_rules(told: str) -> tuple[PlaneRule, ...]:
     return (PlaneRule(Role.COLOUR, (layer,), (letters,)), PlaneRule(Role.ALPHA, (layer,), ((_ALPHAS[letter],),)))
 
 
-_COLOURS = ("R", "G", "B"), ("r", "g", "b"), ("red", "green", "blue"), ("Red", "Green", "Blue"), ("RED", "GREEN", "BLUE")
+_COLOURS = (("R", "G", "B"), ("r", "g", "b"), ("red", "green", "blue"), ("Red", "Green", "Blue"),
+            ("RED", "GREEN", "BLUE"))
 _ALPHAS = {"R": "A", "r": "a", "red": "alpha", "Red": "Alpha", "RED": "ALPHA"}
 
 

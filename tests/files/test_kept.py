@@ -12,7 +12,7 @@ import pytest
 
 from postfx.cli.main import make_parser
 from postfx.cli.run_options import explain_kept
-from postfx.errors import ReadError, WriteError
+from postfx.errors import ReadError
 from postfx.frame import Frame, Role
 from postfx.io.exr.container import ExrContainer
 from postfx.io.exr.passthrough import Enlargement

@@ -94,7 +94,8 @@ def test_cycles_passes_are_found_multiplied_denoised_and_divided_again(cycles: P
         assert main(["run", str(cycles), "-o", str(output), "--aov", "auto", "--aov-denoise", "mist=Mist", "--scale",
                      scale, "--model", "s", "--bits", "32"]) == 0
         found = read(output)
-        picture, part = picture_of(found, scale), {name: layer(found, f"ViewLayer.{name}") for name in kinds if name != "Mist"}
+        picture = picture_of(found, scale)
+        part = {name: layer(found, f"ViewLayer.{name}") for name in kinds if name != "Mist"}
         assert picture.shape[0] == int(scale) * SIZE[0] == found["ViewLayer.Mist.V"].shape[0]
         together = ((part["Diffuse Direct"] + part["Diffuse Indirect"]) * part["Diffuse Color"]
                     + (part["Glossy Direct"] + part["Glossy Indirect"]) * part["Glossy Color"]

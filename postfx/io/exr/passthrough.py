@@ -3,10 +3,10 @@
 Where the picture has the input's size and windows, and the input's colour is in one part, it takes the place of the
 render's colour under the same names, such as ViewLayer.Combined.R, so that programs that show the render show the
 picture. So do light groups and passes that were denoised with it. The other channels of their parts are written again,
-without loss, as ZIP-compressed scanlines, in a part of their own if the picture has another compression. Else the picture
-is R, G, B (and A) of the first part, and all parts of the input follow, the render's colour among them. Parts that need
-not be written again, deep ones included, are copied as they are stored. The attribute `postfx:picture` names the
-picture's channels.
+without loss, as ZIP-compressed scanlines, in a part of their own if the picture has another compression. Else the
+picture is R, G, B (and A) of the first part, and all parts of the input follow, the render's colour among them. Parts
+that need not be written again, deep ones included, are copied as they are stored. The attribute `postfx:picture` names
+the picture's channels.
 
 Beside a larger picture all channels have its size: each pixel has the bits of the nearest one, and only distances in
 pixels grow. The render's colour, which the picture replaces, and deep parts are left out there.
@@ -309,7 +309,8 @@ class Merge:
             beside.attributes.pop(PICTURE, None)
             alone = picture_part(header, _select(self._own, self._rows, header, fresh), apart=True)
             return [alone, picture_part(beside, others)]
-        return [picture_part(header, _join(header, list(fresh), _select(self._own, self._rows, None, fresh), old, others))]
+        rows = _select(self._own, self._rows, None, fresh)
+        return [picture_part(header, _join(header, list(fresh), rows, old, others))]
 
     def check_zip(self, header: Header) -> None:
         """WriteError unless a part that holds the picture and other channels is compressed by ZIP."""
