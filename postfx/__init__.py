@@ -2,7 +2,7 @@
 
     import postfx
 
-    passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2)])
+    passes = postfx.Pipeline([postfx.DenoiseUpscale()])
     for frame in postfx.read_sequence("shot/noisy.####.exr"):
         postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(frame))
 

@@ -27,7 +27,7 @@ def shown(colour: np.ndarray) -> np.ndarray:
 
 
 def run(frames: list[Frame], device: Device | None = None, **options: object) -> list[np.ndarray]:
-    upscaler = DenoiseUpscale(**{"model": CLASSIC, **options})
+    upscaler = DenoiseUpscale(**{"model": CLASSIC, "scale": 2, **options})
     chain = Pipeline([upscaler], device or Device("cpu", threads=2), exposure=0.0)
     return [chain(frame)[Role.COLOUR].copy() for frame in frames]
 
