@@ -12,18 +12,12 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 
+from training.measure.validation import indoor_scenes as indoors
 from training.measure.validation import toolkit as tk
-from training.measure.validation.toolkit import add, camera, lamp, material, move, place
+from training.measure.validation.toolkit import add, camera, lamp, material, move, place, tints
 
 FRAMES = range(tk.FIRST, tk.LAST + 1)
 WHITE = (0.8, 0.8, 0.8)
-
-
-def tints(rng: np.random.Generator, count: int, faces: int, low: float = 0.4,
-          high: float = 1.0, hue: float = 0.15) -> np.ndarray:
-    """A colour for each of `count` copies, repeated for its faces."""
-    colours = rng.uniform(low, high, (count, 1)) * (1 + rng.uniform(-hue, hue, (count, 3)))
-    return np.repeat(colours.clip(0, 1), faces, 0)
 
 
 # Water over tiles ----------------------------------------------------------------------------------
@@ -460,8 +454,99 @@ def leaves(rng: np.random.Generator) -> None:
     camera((0.3, -0.4, 0.6), (0.15, 5, 1.75), 32, (0.02, 0.012, 0.006))
 
 
+# Falling snow --------------------------------------------------------------------------------------
+
+
+def snow(rng: np.random.Generator) -> None:
+    tk.gradient_sky([(0.45, (0.2, 0.24, 0.34)), (0.55, (0.24, 0.27, 0.36)), (1, (0.1, 0.13, 0.2))],
+                    0.5)
+    white = material("snow", (0.82, 0.85, 0.9), 0.65, grain=(3, 0.08), bump=0.3)
+    ground = tk.grid(260, 260, 40, 40)
+    x, y = ground[0][:, 0], ground[0][:, 1]
+    ground[0][:, 2] = 0.1 * np.sin(x * 0.9 + 0.4 * y) + 0.07 * np.sin(1.7 * y) - 0.1
+    path = np.exp(-((x - 0.5 * np.sin(0.4 * y)) / 0.5) ** 2)
+    ground[0][:, 2] -= 0.12 * path + rng.normal(0, 0.012, len(x)) * path
+    add(ground, white, True)
+    logs = wooden_logs(rng)
+    for k in range(9):
+        add(place(tk.rod(0.14, 3.6, 14), (-2.6, 7.0, 0.1 + 0.25 * k), tk.turn(y=np.pi / 2)), logs,
+            True)
+        add(place(tk.rod(0.14, 3.4, 14), (1.0, 7.0, 0.1 + 0.25 * k), tk.turn(x=-np.pi / 2)), logs,
+            True)
+    roof = [place(tk.box(4.4, 2.4, 0.12), (-0.8, 6.7 + 2.0 * side, 2.75), tk.turn(x=-0.62 * side))
+            for side in (0, 1)]
+    roof[0] = place(tk.box(4.4, 2.4, 0.12), (-0.8, 7.0, 2.75), tk.turn(x=0.62))
+    add(tk.join(roof), logs)
+    add(place(tk.box(4.5, 2.3, 0.2), (-0.8, 6.95, 2.93), tk.turn(x=0.62)), white)
+    warm = tk.glow("pane", (1.0, 0.55, 0.2), 5.0)
+    for at in (-1.8, 0.1):
+        add(place(tk.box(0.6, 0.05, 0.7), (at, 6.84, 1.25)), warm)
+        bars = [place(tk.box(0.04, 0.06, 0.7), (at, 6.81, 1.25)),
+                place(tk.box(0.6, 0.06, 0.04), (at, 6.81, 1.25))]
+        add(tk.join(bars), logs)
+        add(place(tk.box(0.7, 0.16, 0.07), (at, 6.78, 0.92)), white)
+    add(place(tk.box(0.7, 0.06, 1.6), (-0.85, 6.84, 0.75)), material("door", (0.3, 0.05, 0.04), 0.5))
+    iron = material("iron", (0.05, 0.05, 0.06), 0.5)
+    for x, y in ((1.35, 4.6), (-1.5, 3.4)):
+        add(place(tk.rod(0.035, 2.0), (x, y, -0.1)), iron, True)
+        add(place(tk.sphere(0.1), (x, y, 1.98)), tk.glow("globe", (1.0, 0.66, 0.32), 45.0), True)
+        add(place(tk.lathe([(0.17, 0), (0.1, 0.09), (0, 0.12)]), (x, y, 2.08)), white, True)
+    needle = (np.array([[0, -0.035, 0], [1, -0.012, -0.12], [1, 0.012, -0.12], [0, 0.035, 0]]),
+              np.array([[0, 1, 2, 3]]))
+    pine = material("pine", (0.03, 0.07, 0.035), 0.8, tinted=True)
+    for x, y, tall in ((-3.4, 6.0, 4.0), (2.3, 6.3, 3.6), (3.3, 8.5, 5.0), (-2.2, 9.5, 5.5),
+                       (1.6, 10.5, 5.2), (0.2, 11.5, 6), (-5, 9, 6), (1.9, 3.6, 1.5)):
+        add(place(tk.rod(0.03 * tall, 0.9 * tall), (x, y, 0)), logs, True)
+        count = 1900
+        up = rng.uniform(0.12, 1, count)
+        angle = rng.uniform(0, 2 * np.pi, count)
+        spots = np.column_stack([np.full(count, x), np.full(count, y), up * tall])
+        turns = tk.about_z(angle, (1 - up + 0.05) * tall * 0.3 * rng.uniform(0.5, 1.1, count))
+        add(tk.copies(needle, spots, turns), pine, tint=tints(rng, count, 1))
+        loaded = spots[::2] + (0, 0, 0.025 * tall ** 0.5)
+        add(tk.copies(needle, loaded, turns[::2] * 0.97), white)
+    rails = []
+    for k in range(16):
+        at = (-4 + 0.5 * k, 5.6 + 0.1 * np.sin(k), 0)
+        rails.append(place(tk.box(0.07, 0.05, 0.9), np.add(at, (0, 0, 0.35))))
+    rails += [place(tk.box(8, 0.03, 0.06), (0, 5.63, z)) for z in (0.35, 0.65)]
+    add(tk.join([rail for rail in rails if abs(rail[0][:, 0].mean() + 0.6) > 0.3]), logs)
+    ball = tk.sphere(1.0, 16, 20)
+    add(tk.join([place(ball, (0.62, 4.4, 0.2), np.eye(3) * 0.34),
+                 place(ball, (0.62, 4.4, 0.68), np.eye(3) * 0.25),
+                 place(ball, (0.62, 4.4, 1.04), np.eye(3) * 0.17)]), white, True)
+    add(place(tk.lathe([(0.01, 0), (0, 0.2)], 10), (0.62, 4.25, 1.04), tk.turn(x=np.pi / 2)),
+        material("carrot", (0.85, 0.3, 0.04)), True)
+    add(place(tk.lathe([(0.2, 0), (0.13, 0.02), (0.12, 0.2), (0, 0.2)]), (0.62, 4.4, 1.17)), iron,
+        True)
+    scarf = material("scarf", (0.6, 0.04, 0.05), 0.9)
+    add(place(tk.torus(0.17, 0.045), (0.62, 4.4, 0.9)), scarf, True)
+    walker = tk.join([tk.lathe([(0, 0.1), (0.18, 0.1), (0.22, 0.6), (0.2, 1.3), (0.07, 1.45),
+                                (0, 1.45)]), place(tk.sphere(0.13, 12, 16), (0, 0, 1.55))])
+    move(add(walker, material("coat", (0.06, 0.12, 0.3), 0.9), True), (-1.15, 5.0, -0.15),
+         (0.03, 0.02, 0))
+    count = 5200
+    flakes = np.column_stack([rng.uniform(-3.2, 3.2, count), rng.uniform(-0.6, 8, count),
+                              rng.uniform(-0.2, 4.0, count)])
+    shape = tk.sphere(1.0, 4, 6)
+    sizes = tk.random_turns(rng, count, rng.gamma(4, 0.0016, count))
+    fall = np.column_stack([rng.normal(0.06, 0.03, count), rng.normal(0, 0.02, count),
+                            rng.normal(-0.16, 0.03, count)])
+    first, last = (tk.copies(shape, flakes + way, sizes) for way in (-fall / 2, fall / 2))
+    tk.deform_straight(add(first, white, True), first[0], last[0])
+    camera((0.1, -1.2, 1.5), (-0.15, 6, 1.3), 30, (0.012, 0.02, 0.003))
+
+
+def wooden_logs(rng: np.random.Generator) -> bpy.types.Material:
+    return material("logs", lambda tree: tk.wood(tree, 6.0, (0.22, 0.13, 0.07), (0.1, 0.05, 0.025)),
+                    0.85, bump=0.5)
+
+
 KINDS: dict[str, Callable[[np.random.Generator], None]] = {
-    "water": water, "smoke": smoke, "fog": fog, "street": street, "leaves": leaves,
+    "water": water, "smoke": smoke, "fog": fog, "street": street, "leaves": leaves, "snow": snow,
+    "glass": indoors.glass, "skin": indoors.skin, "print": indoors.printed,
+    "indirect": indoors.indirect, "cloth": indoors.cloth, "dof": indoors.depth_of_field,
+    "blur": indoors.motion_blur,
 }
 BLURRED = frozenset({"blur"})
 """Kinds with motion blur, where Blender writes no vectors."""

@@ -128,6 +128,13 @@ def tube(points: np.ndarray, radii: np.ndarray, sides: int = 8) -> Shape:
     return vertices.reshape(-1, 3), net_faces(sides + 1, len(points))
 
 
+def tints(rng: np.random.Generator, count: int, faces: int, low: float = 0.4,
+          high: float = 1.0, hue: float = 0.15) -> np.ndarray:
+    """A colour for each of `count` copies, repeated for its faces."""
+    colours = rng.uniform(low, high, (count, 1)) * (1 + rng.uniform(-hue, hue, (count, 3)))
+    return np.repeat(colours.clip(0, 1), faces, 0)
+
+
 # Scene ---------------------------------------------------------------------------------------------
 
 
