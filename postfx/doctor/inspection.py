@@ -205,7 +205,7 @@ class Inspection:
             "guides": _guides(frame, self._reading),
             "missing": [
                 {"role": str(role), "fix": material.enable.get(role, "")}
-                for role in Role if role not in frame and role not in (*ERROR_ROLES, Role.LATER)
+                for role in Role if role not in frame and role not in (*ERROR_ROLES, Role.LATER, Role.PARTNER)
             ],
             "unread": material.other_layers,
             "header": _header(frame),
@@ -351,6 +351,7 @@ _MAPPINGS: Mapping[Role, Callable[[np.ndarray], np.ndarray]] = {
     Role.COLOUR: _light,
     Role.OVERLAY: _light,
     Role.LATER: _light,
+    Role.PARTNER: _light,
     Role.OPAQUE_COLOUR: _light,
     Role.DIFFUSE_ALBEDO: srgb_encode,
     Role.SPECULAR_ALBEDO: srgb_encode,

@@ -7,7 +7,7 @@ import os
 import re
 import threading
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, cached_property
@@ -32,7 +32,14 @@ from postfx.runtime.memory import CUDA, HOST, HOST_KINDS, HostMemory, Immediate,
 from postfx.runtime.model_file import Product, fix_dimensions, take_products
 from postfx.runtime.models import Library
 from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, ort, parse_provider
-from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
+from postfx.runtime.states import (
+    CompiledComputeState,
+    CudaComputeState,
+    HostState,
+    PipelineState,
+    PortableComputeState,
+    State,
+)
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, name_of, size_in_bytes
 from postfx.runtime.threads import Band, CommandQueue, Helpers, Slots, wait_for_all
 from postfx.system import Scratch, usable_cores
@@ -283,6 +290,12 @@ class Device:
         if kernel not in self._compute_states:
             self._compute_states[kernel] = self._make_state(kernel)
         return self._compute_states[kernel]
+
+    def host_state(self, name: str, reads: Sequence[str], writes: Sequence[str],
+                   work: Callable[..., None]) -> State:
+        """Work of another library among the commands: `work` gets an array of the host for each of the names that it
+        `reads` and then `writes`, float32 of any shape."""
+        return HostState(self, name, reads, writes, work)
 
     @property
     def runs_rows(self) -> bool:
