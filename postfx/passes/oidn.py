@@ -14,13 +14,14 @@ from postfx.oidn import QUALITIES, OpenImageDenoise, total_albedo
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 
-ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+ALBEDOS = (Role.DENOISING_ALBEDO, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 
 
 class Oidn(Pass):
     """Denoises with Open Image Denoise, at the render's size and each frame alone; needs the package pyoidn.
 
-    Diffuse and specular albedo, added up, and the normal are filtered alone first and then help with the picture.
+    The albedo and the normal are filtered alone first and then help with the picture. The albedo is the plane
+    `denoising_albedo`, or without it diffuse and specular albedo, added up.
     Without an albedo the colour is denoised alone. What is not finite counts as 0, as does light below 0.
 
     Options:
@@ -41,7 +42,8 @@ class Oidn(Pass):
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         written = (Role.COLOUR, Role.ALPHA) if self._denoises_alpha(spec) else (Role.COLOUR,)
-        return Reflection(reads=(Role.COLOUR,), may_read=(*ALBEDOS, Role.NORMAL, *written[1:]), writes=written,
+        albedos = self._albedos(spec) or ALBEDOS
+        return Reflection(reads=(Role.COLOUR,), may_read=(*albedos, Role.NORMAL, *written[1:]), writes=written,
                           output=spec)
 
     def skip(self, spec: FrameSpec) -> str | None:
@@ -60,7 +62,7 @@ class Oidn(Pass):
     def compile(self, device: Device, spec: FrameSpec) -> None:
         kind = "cuda" if device.name.startswith("cuda") and oidn.finds_cuda() else "cpu"
         self._denoise = OpenImageDenoise(self._quality, kind, device.threads)
-        self._roles = tuple(role for role in (Role.COLOUR, *ALBEDOS, Role.NORMAL) if spec.has(role))
+        self._roles = tuple(role for role in (Role.COLOUR, *self._albedos(spec), Role.NORMAL) if spec.has(role))
         names = tuple(map(str, self._roles))
         size = spec.height, spec.width
         self._colour = ArgumentTable(device.host_state("oidn", names, ("output",), self._denoise_colour),
@@ -107,4 +109,6 @@ class Oidn(Pass):
         return self._alpha and spec.has(Role.ALPHA)
 
     def _albedos(self, spec: FrameSpec) -> tuple[Role, ...]:
-        return tuple(role for role in ALBEDOS if spec.has(role))
+        """The albedos that are added up: one of what is seen in mirrors and glass, too, is enough."""
+        found = tuple(role for role in ALBEDOS if spec.has(role))
+        return found[:1] if Role.DENOISING_ALBEDO in found else found

@@ -61,12 +61,13 @@ class Partner(Pass):
         if (own.output.width, own.output.height) != (spec.width, spec.height) or Role.COLOUR not in own.writes:
             raise FrameError(f"{spec.source or 'frame'}: pass '{self._own.name}' cannot be a partner: it does not make "
                              "a picture of the frame's size")
-        output = replace(spec, planes=(*spec.planes, (Role.PARTNER, 3)))
+        kept = tuple(plane for plane in spec.planes if plane[0] is not Role.PARTNER)
+        output = replace(spec, planes=(*kept, (Role.PARTNER, 3)))
         return Reflection(reads=own.reads, may_read=own.may_read, writes=(Role.PARTNER,), output=output,
                           may_read_guides=own.may_read_guides, notes=(f"runs {self.described()}", *own.notes))
 
     def skip(self, spec: FrameSpec) -> str | None:
-        return "the frame has a partner's picture already" if spec.has(Role.PARTNER) else self._own.skip(spec)
+        return self._own.skip(spec)
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         return self._own.remarks(replace(spec, parts=()))

@@ -112,6 +112,16 @@ def test_both_albedos_count(device: Device) -> None:
 
 
 @pytest.mark.usefixtures("with_oidn")
+def test_an_albedo_for_denoisers_takes_the_place_of_the_others(device: Device) -> None:
+    """It shows what a mirror shows, which the others do not."""
+    stripes = (np.arange(SIZE[1]) // 4 % 2 * 0.6 + 0.2).astype(np.float32)[None, :, None] * even(1)
+    noise = np.random.default_rng(2).gamma(4.0, 0.25, (*SIZE, 3)).astype(np.float32)
+    others = {Role.COLOUR: stripes * noise, Role.DIFFUSE_ALBEDO: even(0.9), Role.NORMAL: even(0.5)}
+    with_it, without = run([Oidn()], [Frame({**others, Role.DENOISING_ALBEDO: stripes}), Frame(others)], device)
+    assert np.abs(with_it[Role.COLOUR] - stripes).mean() < 0.7 * np.abs(without[Role.COLOUR] - stripes).mean()
+
+
+@pytest.mark.usefixtures("with_oidn")
 def test_values_that_are_no_numbers_spoil_nothing(device: Device) -> None:
     bad = picture(diffuse_albedo=even(0.5), normal=even(0.5))
     for role, value in ((Role.COLOUR, np.nan), (Role.COLOUR, np.inf), (Role.DIFFUSE_ALBEDO, np.nan)):
