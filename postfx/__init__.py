@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from postfx.passes.composite import BothWays, Overlay
     from postfx.passes.denoise import DenoiseUpscale
     from postfx.passes.denoise.options import RenderSize
+    from postfx.passes.oidn import Oidn
+    from postfx.passes.partner import MixPartner, Partner
     from postfx.passes.tonemap import ToneMap
     from postfx.pipeline import Pipeline
     from postfx.presenter import Presenter
@@ -49,7 +51,10 @@ _HOMES = {
     "FrameSpec": "postfx.frame",
     "Interpolator": "postfx.interpolate",
     "Library": "postfx.runtime",
+    "MixPartner": "postfx.passes.partner",
+    "Oidn": "postfx.passes.oidn",
     "Overlay": "postfx.passes.composite",
+    "Partner": "postfx.passes.partner",
     "Pipeline": "postfx.pipeline",
     "PostfxError": "postfx.errors",
     "Presenter": "postfx.presenter",
@@ -76,7 +81,10 @@ __all__ = [
     "FrameSpec",
     "Interpolator",
     "Library",
+    "MixPartner",
+    "Oidn",
     "Overlay",
+    "Partner",
     "Pipeline",
     "PostfxError",
     "Presenter",

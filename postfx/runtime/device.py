@@ -8,7 +8,8 @@ import os
 import re
 import threading
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, cached_property
 from itertools import pairwise
@@ -43,7 +44,14 @@ from postfx.runtime.session import (
     ort,
     parse_provider,
 )
-from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
+from postfx.runtime.states import (
+    CompiledComputeState,
+    CudaComputeState,
+    HostState,
+    PipelineState,
+    PortableComputeState,
+    State,
+)
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, name_of, size_in_bytes
 from postfx.runtime.threads import Band, CommandQueue, Helpers, Slots, wait_for_all
 from postfx.system import Scratch, Workers, usable_cores
@@ -298,6 +306,12 @@ class Device:
         if kernel not in self._compute_states:
             self._compute_states[kernel] = self._make_state(kernel)
         return self._compute_states[kernel]
+
+    def host_state(self, name: str, reads: Sequence[str], writes: Sequence[str],
+                   work: Callable[..., None]) -> State:
+        """Work of another library among the commands: `work` gets an array of the host for each of the names that it
+        `reads` and then `writes`, float32 of any shape."""
+        return HostState(self, name, reads, writes, work)
 
     @property
     def runs_rows(self) -> bool:

@@ -215,6 +215,47 @@ class CudaComputeState(ComputeState):
         return self._memory.launcher(self.name, self._source, extent, self._blocks, tensors)
 
 
+class HostState:
+    """Work of another library on arrays of the host, done when its turn among the commands comes. Made by
+    `Device.host_state`; on a GPU its arrays are copies, and it waits for the commands before it."""
+
+    stage = "compute"
+    narrow = False
+    stream = 0
+    model: Path | None = None
+    capturable = False
+
+    def __init__(self, device: StateDevice, name: str, reads: Sequence[str], writes: Sequence[str],
+                 work: Callable[..., None]) -> None:
+        self.device = device
+        self.name = name
+        self.command = f"work '{name}'"
+        self.threads = device.threads
+        self.bindings = tuple(Binding(binding, access, None, "float32")
+                              for names, access in ((reads, "read"), (writes, "write"))
+                              for binding in names)
+        self._work = work
+
+    def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
+        """A function that does the work on bound tensors."""
+        if self.device.memory.host_visible:
+            arrays = [tensor.host_view() for tensor in tensors]
+            return lambda: self._work(*arrays)
+        return lambda: self._work_on_copies(tensors)
+
+    def _work_on_copies(self, tensors: Sequence[Tensor]) -> None:
+        memory = self.device.memory
+        arrays = [np.empty(tensor.shape, tensor.dtype) for tensor in tensors]
+        bound = [*zip(self.bindings, tensors, arrays, strict=True)]
+        for binding, tensor, array in bound:
+            if binding.reads:
+                memory.read(tensor.start, array)
+        self._work(*arrays)
+        for binding, tensor, array in bound:
+            if binding.writes:
+                memory.write(tensor.start, array)
+
+
 def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:
     """Bindings of a kernel in argument order."""
     changed = kernel.in_place

@@ -88,7 +88,7 @@ class DenoiseUpscale(Pass):
     and converted back. On a GPU negative light counts as 0.
 
     A transparency overlay is only resampled; the pass `overlay` composites. The plane `later` is handed on
-    to the pass `both_ways`.
+    to the pass `both_ways`, and the plane `partner`, resampled, to the pass `mix_partner`.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. At render
     size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone.
@@ -146,7 +146,8 @@ class DenoiseUpscale(Pass):
         demanded = self._mask.demands() if self.strength else ()
         kept = [role for role in carried if role not in spec.guide_roles]
         guides = (*(guides if self.strength else ()), *(role for role in carried if role in spec.guide_roles))
-        return Reflection(reads=(Role.COLOUR, *demanded), may_read=(*planes, *kept), writes=(Role.COLOUR, *carried),
+        optional = tuple(dict.fromkeys((*planes, *kept)))
+        return Reflection(reads=(Role.COLOUR, *demanded), may_read=optional, writes=(Role.COLOUR, *carried),
                           output=output, may_read_guides=guides, notes=self._notes(spec), parts=self._read_parts(spec))
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
@@ -277,7 +278,8 @@ class DenoiseUpscale(Pass):
         frame.set(Role.COLOUR, colour)
         ready.passthrough.encode(commands, frame)
         for role in (*PLANES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
-            frame.tensors.pop(role, None)
+            if not self._output.has(role):
+                frame.tensors.pop(role, None)
         frame.guides.clear()
         frame.spec, frame.jitter = self._output, (0.0, 0.0)
 
