@@ -5,10 +5,10 @@ carries a linear stream to which blocks add, so a level that learns slowly still
 level has the render size. The inputs and the heads are those of `model.Trunk`, so the operations around the network
 stay the same.
 
-Fourteen convolutions in a row without a norm grow together: at the usual rate the stream rose from 1 to 10^7 within 40
-steps, all heads left their range, and nothing was learnt from then on. Training therefore splits each filter into its
-length and its direction (weight normalisation, Salimans and Kingma 2016). Checkpoints and exported networks hold plain
-filters: `join_norms`, `split_norms`.
+At first every logit is drawn one way, towards sharper filters, and without a norm fourteen convolutions in a row grow
+together: the stream rose from 1 to 10^7 within 40 steps, all heads left their range, and nothing was learnt from then
+on. (Split filters and lower rates for filters of many inputs only put it off.) Each head therefore reads the stream
+divided by its root mean square over the channels, so its scale no longer matters.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from training.denoise.model import LEVELS, NO_SHARPENING, Trunk, TrunkConfig, ac
 
 BRANCH = 0.2  # of the usual first weights of what a block adds
 STEEPEST = 8.0  # logits stay within this
+LEAST_SQUARE = 1e-6  # added to a mean square before its root
 HEAD_STD = 0.01  # of the heads' first weights: filters start nearly even
 
 
@@ -96,6 +97,12 @@ def bound(logits: Tensor) -> Tensor:
     return logits + (logits.clamp(-STEEPEST, STEEPEST) - logits).detach()
 
 
+def normalise(stream: Tensor) -> Tensor:
+    """The stream over its root mean square over the channels of each pixel."""
+    stream = stream.float()
+    return stream * torch.rsqrt(stream.square().mean(1, keepdim=True) + LEAST_SQUARE)
+
+
 def blocks(width: int, count: int) -> nn.Sequential:
     return nn.Sequential(*(ResidualBlock(width) for _ in range(count)))
 
@@ -130,51 +137,16 @@ class ResidualTrunk(nn.Module):
         for level, stack in enumerate(self.down):
             x = stack(self.shrink[level - 1](x) if level else x)
             skips.append(x)
-        levels = [filters(bound(self.heads[-1](x)))]
+        levels = [filters(bound(self.heads[-1](normalise(x))))]
         for level in reversed(range(LEVELS)):
             lifted = F.interpolate(self.lift[level](x), scale_factor=2.0, mode="nearest")
             x = self.up[level](skips[level] + lifted)
             if level:
-                levels.insert(0, filters(bound(self.heads[level - 1](x))))
+                levels.insert(0, filters(bound(self.heads[level - 1](normalise(x)))))
         return self._fine(x), *levels
 
     def _fine(self, x: Tensor) -> Tensor:
-        return activate_fine(bound(self.fine(x)))
-
-
-SPLIT = "parametrizations.weight.original"  # what torch calls the parts of a split filter
-LENGTH, DIRECTION = SPLIT + "0", SPLIT + "1"
-
-
-def with_norms(trunk: ResidualTrunk) -> ResidualTrunk:
-    """The trunk, each filter split into length and direction."""
-    for layer in [layer for layer in trunk.modules() if isinstance(layer, nn.Conv2d)]:
-        nn.utils.parametrizations.weight_norm(layer)
-    return trunk
-
-
-def join_norms(weights: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Plain filters from split ones; others stay as they are."""
-    joined = {name: values for name, values in weights.items() if not name.endswith((LENGTH, DIRECTION))}
-    for name, length in weights.items():
-        if name.endswith(LENGTH):
-            direction = weights[name.removesuffix(LENGTH) + DIRECTION]
-            norm = direction.flatten(1).norm(dim=1).reshape(length.shape)
-            joined[name.removesuffix(LENGTH) + "weight"] = length * direction / norm
-    return joined
-
-
-def split_norms(weights: dict[str, Tensor], like: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Filters split in the way that the names of ``like`` show; the opposite of `join_norms`."""
-    found = {}
-    for name in like:
-        if name.endswith((LENGTH, DIRECTION)):
-            plain = weights[name[:name.index(SPLIT)] + "weight"]
-            length = plain.flatten(1).norm(dim=1).reshape(-1, *[1] * (plain.ndim - 1))
-            found[name] = length if name.endswith(LENGTH) else plain
-        else:
-            found[name] = weights[name]
-    return found
+        return activate_fine(bound(self.fine(normalise(x))))
 
 
 def trunk_from(config: dict[str, Any]) -> Trunk | ResidualTrunk:
