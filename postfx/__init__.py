@@ -2,7 +2,7 @@
 
     import postfx
 
-    passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2)])
+    passes = postfx.Pipeline([postfx.DenoiseUpscale()])
     for frame in postfx.read_sequence("shot/noisy.####.exr"):
         postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(frame))
 
@@ -30,8 +30,11 @@ if TYPE_CHECKING:
     from postfx.passes.composite import BothWays, Overlay
     from postfx.passes.denoise import DenoiseUpscale
     from postfx.passes.denoise.options import RenderSize
+    from postfx.passes.oidn import Oidn
+    from postfx.passes.partner import MixPartner, Partner
     from postfx.passes.tonemap import ToneMap
     from postfx.pipeline import Pipeline
+    from postfx.presenter import Presenter
     from postfx.runtime import Device, Library
     from postfx.stills import denoise
     from postfx.system import models_dir
@@ -48,9 +51,13 @@ _HOMES = {
     "FrameSpec": "postfx.frame",
     "Interpolator": "postfx.interpolate",
     "Library": "postfx.runtime",
+    "MixPartner": "postfx.passes.partner",
+    "Oidn": "postfx.passes.oidn",
     "Overlay": "postfx.passes.composite",
+    "Partner": "postfx.passes.partner",
     "Pipeline": "postfx.pipeline",
     "PostfxError": "postfx.errors",
+    "Presenter": "postfx.presenter",
     "ROLES": "postfx.frame",
     "Role": "postfx.frame",
     "RenderSize": "postfx.passes.denoise.options",
@@ -74,9 +81,13 @@ __all__ = [
     "FrameSpec",
     "Interpolator",
     "Library",
+    "MixPartner",
+    "Oidn",
     "Overlay",
+    "Partner",
     "Pipeline",
     "PostfxError",
+    "Presenter",
     "ROLES",
     "RenderSize",
     "Role",

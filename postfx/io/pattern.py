@@ -203,7 +203,9 @@ def split_folder(text: str) -> tuple[str, str]:
 
 
 def parse_frames(text: str) -> list[int]:
-    """Frame numbers of '1-100x2', '1,5,7-9' and the like, in the order given; SequenceError when malformed.
+    """Frame numbers of '1-100x2', '1,5,7-9' and the like, in order of time; SequenceError when malformed.
+
+    Farms write '100-1' for frames to render last first. A history only goes forwards.
 
     Steps that fileseq writes with ':' or 'y' are refused: they deal frames out to several machines, out of order.
     """
@@ -220,7 +222,7 @@ def parse_frames(text: str) -> list[int]:
         raise SequenceError(f"--frames {text}: not a frame range: write it like 1-100, 1-100x2 or 1,5,8-12") from error
     if not numbers:
         raise SequenceError(f"--frames {text}: holds no frame")
-    return [int(number) for number in numbers]
+    return sorted({int(number) for number in numbers})
 
 
 def _refuse_other_steps(text: str, part: re.Match[str]) -> None:

@@ -30,6 +30,7 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
     names = ["Vector", "velocity"]       # layer names in order of preference; "" is no layer, * matches anything
     channels = ["XY", "RG"]              # channel letters in order of preference, or a list of whole names
     requires = ["Albedo.R"]              # the plane is looked for only where these channels exist, too
+    without = ["Specular.R"]             # and only where none of these exists
     source = "manual"                    # of this plane's names, where it is another than the profile's
     scale = [1, -1]                      # value = (stored + offset) * scale; a normal stored as 0, 0, 0 stays zero
     unit = "pixels"                      # motion: pixels, uv (0..1 of the image), ndc (-1..1), width (parts of the
@@ -113,9 +114,9 @@ PART = {"names": TEXTS, "kind": TEXT, "group": TEXT, "factor": TEXT}
 CAMERA = {"fov_x": NUMBER, "near": NUMBER, "far": DISTANCE, "column_vectors": YES_NO, "max_velocity": LENGTH,
           "shutter": LENGTH}
 DETECT = {"header": PATTERNS, "channels": TEXTS, "without": TEXTS}
-PLANE = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "requires": TEXTS, "source": TEXT, "scale": NUMBERS,
-         "offset": NUMBERS, "unit": TEXT, "per": TEXT, "space": TEXT, "kind": TEXT, "reversed": YES_NO, "miss": NUMBER,
-         "clamp": RANGE, "enable": TEXT}
+PLANE = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "requires": TEXTS, "without": TEXTS, "source": TEXT,
+         "scale": NUMBERS, "offset": NUMBERS, "unit": TEXT, "per": TEXT, "space": TEXT, "kind": TEXT,
+         "reversed": YES_NO, "miss": NUMBER, "clamp": RANGE, "enable": TEXT}
 
 
 def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, where: str = "profile") -> None:
@@ -151,6 +152,7 @@ class PlaneRule:
     names: tuple[str, ...]
     channels: tuple[tuple[str, ...], ...]
     requires: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
     source: str = ""
     scale: tuple[float, ...] = (1.0,)
     offset: tuple[float, ...] = (0.0,)
@@ -301,7 +303,7 @@ def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     if table.get("role") not in list(Role):
         raise ProfileError(f"{path}: {where}: unknown role: use one of {', '.join(Role)}")
     _check_choices(table, _CHOICES, path, where)
-    role, listed = Role(table["role"]), {"names", "channels", "requires", "scale", "offset", "clamp"}
+    role, listed = Role(table["role"]), {"names", "channels", "requires", "without", "scale", "offset", "clamp"}
     channels = tuple(tuple(letters) for letters in table.get("channels", []))
     if not channels or any(len(letters) != ROLES[role].channels for letters in channels):
         raise ProfileError(f"{path}: {where}: each entry of channels needs {ROLES[role].channels} channels")

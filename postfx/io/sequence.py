@@ -99,7 +99,6 @@ class Sequence:
         self.leave = () if leave is None else parse_leave(leave)
         self._named = False
         self._areas: dict[str | None, Area | None] = {}  # of each view's first frame that was opened
-        self._planes: dict[str | None, tuple[int, frozenset[Role]]] = {}  # its number, and planes so far
         self.coverage = Coverage()
         self.colours = parse_colourspace(colourspace)
         self.without = frozenset(map(Role, without)) | ({Role.MOTION} if motion == ESTIMATE else set())
@@ -260,7 +259,7 @@ class Sequence:
         self._areas[self.view] = self._areas.get(self.view) or files.area
         try:
             found = files.layout.warnings + self.colours.warnings(files.layout.attributes)
-            found += self._warn_of_views(files.views) + self._warn_of_late(number, files)
+            found += self._warn_of_views(files.views)
         except ColourError as error:
             files.close()
             raise ColourError(f"{files.path}: {error}") from None
@@ -396,15 +395,6 @@ class Sequence:
         others = ", ".join(view for view in views[1:] if view not in self._known_views)
         return [f"view {views[0]} is read; {others} not, and is only copied where the output keeps other channels: "
                 "--view all denoises all of them"] if others else []
-
-    def _warn_of_late(self, number: int, files: FrameFiles) -> list[str]:
-        """What the user should know of planes that the frame that was opened first lacks."""
-        held = frozenset((*files.layout.planes, *(files.guides.planes if files.guides else ())))
-        first, known = self._planes.setdefault(self.view, (number, held))
-        late = [role for role in Role if role in held - known]
-        self._planes[self.view] = first, known | held  # each is told of once
-        return [f"frame {first} has no {', '.join(late)}, which frame {number} has: frames are made without; render it "
-                "there, or leave such frames out with --frames"] if late else []
 
     def _warn_of_overlooked(self) -> None:
         found = [path.name for own in self.pattern.by_view().values() for path in own.find_overlooked()]

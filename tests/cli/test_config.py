@@ -129,7 +129,7 @@ def test_chunks_carry_the_defaults_to_machines_that_do_not_have_them(places, sho
 def test_a_preview_leaves_out_defaults_that_need_all_frames(places, shot, monkeypatch, capsys, tmp_path):
     shot(1)
     monkeypatch.chdir(tmp_path)
-    put(tmp_path, 'preset = "animation"\ncompression = "piz"')
+    put(tmp_path, 'preset = "animation"\nbits = 32')
     watch = ["watch", "in/", "-o", "preview/", "--until", "1", "--settle", "0"]
     assert main(watch) == 0 and (tmp_path / "preview" / "shot.0001.exr").is_file()
     capsys.readouterr()

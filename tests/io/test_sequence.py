@@ -329,15 +329,3 @@ def test_files_beside_those_of_planes_are_another_sequence(tmp_path):
         locate(tmp_path)
     (tmp_path / "turntable.0001.exr").unlink()
     assert str(locate(tmp_path)[0]) == f"{tmp_path}/{{plane}}.####.exr"
-
-
-def test_planes_that_come_late_are_named(write_exr, tmp_path):
-    """A pipeline is made for the first frame; what it lacks is not used later."""
-    colour = {c: np.ones((2, 3), np.float32) for c in "RGB"}
-    for number in (1, 2, 3):
-        more = {f"albedo.{c}": np.ones((2, 3), np.float32) for c in "RGB"} if number > 1 else {}
-        write_exr(f"shot.{number:04d}.exr", colour | more)
-    sequence = read_sequence(tmp_path / "shot.####.exr")
-    assert len(list(sequence)) == 3
-    (warning,) = sequence.warnings
-    assert warning.startswith("frame 1 has no diffuse_albedo, which frame 2 has: frames are made without; render it")
