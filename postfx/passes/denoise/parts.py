@@ -475,4 +475,4 @@ def is_speckled(covered: np.ndarray) -> bool:
     around = three_by_three(covered.astype(np.float32), 1, np.add)
     edges = np.count_nonzero((around > 0) & (around < 9))
     specks, holes = np.count_nonzero(covered & (around <= 3)), np.count_nonzero(~covered & (around >= 6))
-    return edges > 0 and min(specks, holes) > SPECKLED * edges
+    return bool(edges > 0 and min(specks, holes) > SPECKLED * edges)
