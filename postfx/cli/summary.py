@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from datetime import timedelta
 from math import ceil, log2
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from postfx.frame import Frame, Role
 from postfx.io.pattern import format_frames
@@ -115,6 +116,19 @@ def describe_outputs(paths: list[Path], is_overwritten: bool) -> str:
     return f"writes  {paths[0]}{more}: {len(paths)} file{'s' * (len(paths) > 1)}{kept}"
 
 
+class _LastingConsole(Console):
+    """A console whose reader may end, or whose disk may be full: it is quiet from then on, and the work goes on."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        try:
+            super().print(*objects, **options)
+        except OSError:
+            self.quiet = True
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+
+
 class FrameProgress:
     """Counts finished frames. Use as a context manager.
 
@@ -123,7 +137,7 @@ class FrameProgress:
     """
 
     def __init__(self, total: int, quiet: bool = False) -> None:
-        self._console = Console(stderr=True, markup=False, emoji=False, quiet=quiet)
+        self._console = _LastingConsole(stderr=True, markup=False, emoji=False, quiet=quiet)
         self._total, self._done, self._fresh = total, 0, 0
         self._begin = time.perf_counter()
         self._told: float | None = None
@@ -132,8 +146,6 @@ class FrameProgress:
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(compact=True),
-            TextColumn("left"),
             console=self._console,
             transient=True,
             disable=quiet or not self._console.is_terminal,
@@ -169,8 +181,9 @@ class FrameProgress:
     def advance(self, path: str) -> None:
         """Count a frame that was written to `path`."""
         self._done, self._fresh = self._done + 1, self._fresh + 1
-        rate = f"{self._fresh / (time.perf_counter() - self._begin):.2f} frames/s"
-        self._bar.update(self._task, advance=1, rate=rate)
+        speed = self._fresh / (time.perf_counter() - self._begin)
+        rate, left = f"{speed:.2f} frames/s", timedelta(seconds=round((self._total - self._done) / speed))
+        self._bar.update(self._task, advance=1, rate=f"{rate}, {left} left")
         if not self._console.is_terminal:
             self._console.print(f"{self._done}/{self._total} {path} ({rate})", highlight=False, soft_wrap=True)
 
