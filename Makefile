@@ -3,6 +3,7 @@ VENV ?= .venv
 OUT ?= out/demo
 BIN := $(VENV)/bin
 PYTHONS ?= $(PYTHON)
+TARGETS ?= linux-x86_64 linux-aarch64 macos-arm64 macos-x86_64 windows-x86_64
 ORT := build/npm/node_modules/onnxruntime-web/dist
 THREE := build/npm/node_modules/three
 
@@ -55,9 +56,11 @@ windows: export PYTHONPATH = tests/windows
 windows: $(VENV)/installed-dev
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 tests/files tests/io tests/cli tests/reliability
 
-# Wheel and sdist in dist/, each installed and run in a fresh environment of every Python in PYTHONS.
+# Wheels and sdist in dist/; this machine's wheel and the sdist are installed and run in a fresh environment of every
+# Python in PYTHONS. The kernels of all targets are compiled here; the first time, Windows takes some minutes.
 release: $(VENV)/installed-dev
 	rm -rf dist postfx/_kernels
+	for target in $(TARGETS); do POSTFX_TARGET=$$target $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; done
 	$(BIN)/python build_kernels.py
 	$(BIN)/python -m hatchling build -d dist
 	rm -rf postfx/_kernels

@@ -21,6 +21,7 @@ from postfx.cli.run_options import (
     RUN,
     explain_kept,
     explain_overlay,
+    find_partner,
     make_run_up,
     refuse_layer,
     refuse_views,
@@ -52,6 +53,7 @@ from postfx.kernels.native import CompileWatch
 from postfx.passes import Pass
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
+from postfx.passes.partner import Partner
 from postfx.passes.registry import create, insert_passes, parse_pass
 from postfx.pipeline import Pipeline
 from postfx.plan import Skip, from_files
@@ -105,7 +107,8 @@ class Job:
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
         self._parts = self._find_parts()
-        passes, skips = self._passes(denoising, self._backwards is not None)
+        self._partner = None if covered or arguments.strength == 0 else find_partner(getattr(arguments, "with"))
+        passes, skips = self._passes(denoising, self._backwards is not None, self._partner)
         self.skips += skips
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False)  # it has its own
         refuse_views(self.sequence, self.outputs)
@@ -190,7 +193,9 @@ class Job:
         """Input, output and sizes, in a line."""
         to = f" to {self.outputs.path(self.first).with_name(self.outputs.pattern)}" if self.outputs else ""
         sizes, views = describe_sizes(self.plan, self.sequence), describe_views(self.sequence)
-        return f"{self.sequence.pattern}{to}: {describe_frames(self.sequence)}, {sizes}{views}"
+        partner = "".join(f", with {step.instance.described()}" for step in self.plan.steps
+                          if isinstance(step.instance, Partner))
+        return f"{self.sequence.pattern}{to}: {describe_frames(self.sequence)}, {sizes}{views}{partner}"
 
     def run(self) -> None:
         """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
@@ -452,20 +457,25 @@ class Job:
             stops = [] if used is None else [f"exposure {log2(used):+.2f} EV"]
             progress.note(f"frame {number}: {', '.join([*spent, *stops]) or 'only its picture, enlarged'}")
 
-    def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False) -> tuple[list[Pass], list[Skip]]:
-        """The passes, the first with these options, or without a denoiser if they are None; and what is left out."""
+    def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False,
+                partner: str | None = None) -> tuple[list[Pass], list[Skip]]:
+        """The passes, the denoiser with these options, or without one if they are None; and what is left out."""
         passes, skips, parts = [], [], {"parts": self._parts} if self._parts else {}
         if denoising is None:
             skips.append(Skip("denoise_upscale", "--no-denoise"))
         else:
+            passes += [create("partner", of=partner)] if partner else []
             passes.append(create("denoise_upscale", **denoising, **parts))
         passes += [create("both_ways", **parts)] if both_ways else []
+        if denoising is not None and partner:
+            strength = denoising.get("strength")
+            passes.append(create("mix_partner", strength=1.0 if strength is None else strength, **parts))
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
         is_picture = self.outputs is not None and self.outputs.display
         shown, not_shown = make_display_passes(is_picture, **self._values("look"))
         asked = map(parse_pass, getattr(self._arguments, "pass") or ())
         chain = insert_passes([*passes, *shown], tuple(asked), len(passes))
-        if both_ways and chain[0].name != "denoise_upscale":
+        if both_ways and chain[0].name not in ("denoise_upscale", "partner"):
             raise OptionError(f"--both-ways denoises frames as they are in their files, before pass '{chain[0].name}': "
                               "let the pass run after=denoise_upscale, or leave --both-ways out")
         return chain, skips + not_shown

@@ -93,6 +93,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Process the sequence; returns the exit code."""
     is_plan = arguments.explain or arguments.dry_run
+    if arguments.default_files and not arguments.quiet:
+        from postfx.files import make_printable
+
+        shown = f"{' '.join(arguments.defaults)} from {', '.join(arguments.default_files)}"
+        print(f"defaults {make_printable(shown)}", file=sys.stderr)
     if arguments.ray and not is_plan:
         from postfx.cli.chunks import run_on_ray
 

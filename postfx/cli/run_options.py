@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 PRESETS: dict[str, dict[str, Any]] = {
     "preview": {"model": "s", "run_up": 0, "preroll": 0},
-    "final": {"both_ways": True},
+    "final": {"both_ways": True, "with": "auto"},
     "animation": {"both_ways": True, "exposure": "smooth"},
 }
 """Preset -> option -> value; `--preset` says them in words."""
@@ -197,6 +197,16 @@ def _find_network(tag: str) -> str:
     return tag
 
 
+def find_partner(words: str) -> str | None:
+    """The pass that --with names, and its options; None for none, and for auto where Open Image Denoise is not
+    installed."""
+    from postfx.oidn import is_installed
+
+    if words == "auto":
+        return "oidn" if is_installed() else None
+    return None if words == "none" else words
+
+
 def _list_passes() -> str:
     from postfx.passes.registry import describe_passes
 
@@ -205,9 +215,9 @@ def _list_passes() -> str:
 
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
-           help="preview: the fastest, --model s without a run-up, --preroll 0; final: the cleanest, --both-ways; "
-           "animation: as clean, and steady in brightness, --both-ways --exposure smooth. Options that you give "
-           "yourself win"),
+           help="preview: the fastest, --model s without a run-up, --preroll 0; final: the cleanest, --both-ways "
+           "--with auto; animation: as clean, and steady in brightness, --both-ways --exposure smooth. Options that "
+           "you give yourself win"),
     Option(flag="--scale", basic=True, metavar="S", type=float, either="size", sets="denoiser.scale",
            excludes=_FOR_DENOISER,
            help="output size over render size, 1 to 3; 2 makes frames twice as large (default: 1, or the guides' "
@@ -232,6 +242,14 @@ DENOISING = Section("denoising and size", (
            },
            help="also denoise the sequence in reverse order and mix both results: cleaner frames, the first ones most; "
            "takes two to three times as long"),
+    Option(flag="--with", metavar="PASS[,OPTION=VALUE]", default="none", off="none",
+           excludes={
+               **_FOR_DENOISER,
+               "--budget": "--with runs another denoiser, --budget keeps to a time: give one of them",
+               "--memory": "--with runs another denoiser, --memory keeps to a size: give one of them",
+           },
+           help="run another denoiser, too, and mix both results: oidn (Open Image Denoise, of the extra 'oidn'), or "
+           "any pass that keeps the frame's size; auto for oidn where it is installed; none (default)"),
     Option(flag="--run-up", metavar="N", type=parse_count, off=0,
            excludes={
                "--no-denoise": "--run-up runs frames more than once, --no-denoise has no denoiser to run up: give one "

@@ -126,6 +126,10 @@ def _findings_of_guides(frame: Frame) -> Iterator[Finding]:
                 yield replace(finding, evidence=f"guides: {finding.evidence}")
 
 
+MADE_OR_RARE = (Role.LATER, Role.PARTNER, Role.DENOISING_ALBEDO)
+"""Planes that passes make, or that few can do with: nobody misses them."""
+
+
 class Inspection:
     """A sequence looked at: facts about its first frame, and findings of a few frames.
 
@@ -181,7 +185,7 @@ class Inspection:
             "guides": _guides(frame, self._reading),
             "missing": [
                 {"role": str(role), "fix": material.enable.get(role, "")}
-                for role in Role if role not in frame and role not in (*ERROR_ROLES, Role.LATER)
+                for role in Role if role not in frame and role not in (*ERROR_ROLES, *MADE_OR_RARE)
             ],
             "unread": material.other_layers,
             "header": _header(frame),
@@ -327,6 +331,8 @@ _MAPPINGS: Mapping[Role, Callable[[np.ndarray], np.ndarray]] = {
     Role.COLOUR: _light,
     Role.OVERLAY: _light,
     Role.LATER: _light,
+    Role.PARTNER: _light,
+    Role.DENOISING_ALBEDO: srgb_encode,
     Role.OPAQUE_COLOUR: _light,
     Role.DIFFUSE_ALBEDO: srgb_encode,
     Role.SPECULAR_ALBEDO: srgb_encode,

@@ -216,6 +216,8 @@ def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: boo
     channels = next((channels for channels in found if channels not in layout.barred), None)
     if channels is None or index.find(name.replace("{layer}", layout.layer) for name in rule.requires) is None:
         return
+    if any(index.find([name.replace("{layer}", layout.layer)]) is not None for name in rule.without):
+        return
     match = Match(rule, channels)
     if rule.role is Role.NORMAL and rule.space != "world" and layout.camera.world_to_camera is None:
         layout.unused[rule.role] = f"normals {match.names} are in camera space and no worldToCamera header: not used"
