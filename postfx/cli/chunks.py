@@ -122,9 +122,12 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int, frames: str 
     from postfx.cli.run_options import RUN
     from postfx.files import with_slashes
     from postfx.io.pattern import format_frames
+    from postfx.passes.registry import create
     from postfx.runs.schedule import make_chunks
 
     RUN.refuse_conflicts(given)
+    if not given.no_denoise:
+        create("denoise_upscale", **RUN.values_for("denoiser", given))  # whose errors belong here, not on a farm
     sequence = _open(given, frames or given.frames)
     chunks = list(make_chunks(sequence, size, _frames_ahead(given, sequence)))
     own = [] if given.preroll is not None else ["--preroll", "auto"]

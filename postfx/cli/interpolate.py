@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,8 @@ from postfx.cli.options import Option, Options, Section, parse_from_zero, parse_
 from postfx.cli.run_options import DEPTH, FILES, INPUT, RUN, parse_cuts
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
 
     from postfx.frame import Frame
@@ -48,10 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Interpolate a sequence; returns the exit code."""
+    from postfx.cli.summary import FrameProgress
+
     INTERPOLATE.refuse_conflicts(arguments)
     job = Interpolation(arguments)
-    for number, reason in job.run():
-        print(f"frame {number}: {reason}", file=sys.stderr)
+    with FrameProgress(job.total) as progress:
+        progress.start(0)
+        for number, reason in job.run(progress.advance):
+            progress.note(f"frame {number}: {reason}")
     print(json.dumps(job.as_dict()) if arguments.json else job.text())
     return 0
 
@@ -159,8 +164,14 @@ class Interpolation:
         self._first: dict[str, Any] = {}
         self.summary = Summary()
 
-    def run(self) -> Iterator[tuple[int, str]]:
-        """Write all frames; yields number and reason of those that are repeated or left out."""
+    @property
+    def total(self) -> int:
+        """How many frames of the new sequence there may be."""
+        return len(self._moments)
+
+    def run(self, tell: Callable[[str], None]) -> Iterator[tuple[int, str]]:
+        """Write all frames; yields number and reason of those that are repeated or left out. tell: is called with the
+        file of each that is written."""
         begin, last = time.perf_counter(), None
         for count, moment in enumerate(self._moments):
             frame, reason = self._make(moment)
@@ -168,7 +179,7 @@ class Interpolation:
                 self.summary.skipped[moment.number] = reason
             else:
                 frame = self._blur(frame, moment) if self._arguments.shutter and not reason else frame
-                self._write(frame, count)
+                tell(str(self._write(frame, count)))
                 shown = moment.start + (moment.t >= 0.5 if reason else moment.t)
                 if last is not None:
                     interval = round(shown - last, 4)
@@ -277,14 +288,17 @@ class Interpolation:
                   if shown and all(role in one for one in shown)}
         return replace(frame, planes={**frame.planes, **planes})
 
-    def _write(self, frame: Frame, count: int) -> None:
+    def _write(self, frame: Frame, count: int) -> Path:
+        """Write a new frame; returns its file, or that of its first view."""
         from postfx.io.writer import write_frame
 
         views = {name: self._prepare(view, count) for name, view in frame.views.items()}
         kept = {name: text for name, text in frame.metadata.items() if name.startswith(CRYPTOMATTE)}
-        for path, picture in self._outputs.split(replace(self._prepare(frame, count), views=views)):
+        files = self._outputs.split(replace(self._prepare(frame, count), views=views))
+        for path, picture in files:
             write_frame(path, picture, provenance=kept if self._arguments.planes else None,
                         **INTERPOLATE.values_for("writer", self._arguments))
+        return files[0][0]
 
     def _prepare(self, frame: Frame, count: int) -> Frame:
         """A frame, or one of its views, as it is written: its header, its overlay and the planes beside it."""

@@ -89,8 +89,6 @@ class Job:
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
         refuse_layer(arguments, self.outputs)
-        if self.outputs and not arguments.explain:
-            self.outputs.check(self.sequence.numbers)
         self.skips: list[Skip] = []
         self._smooth = arguments.exposure == SMOOTH
         policy = OnError(arguments.on_error)
@@ -115,6 +113,8 @@ class Job:
         self.skips += skips
         self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False)  # it has its own
         refuse_views(self.sequence, self.outputs)
+        if self.outputs and not arguments.explain:  # after all options, whose mistakes matter more
+            self.outputs.check(self.sequence.numbers)
         with ExitStack() as stack:
             files = stack.enter_context(self.sequence.open(self.first))
             self.skips += explain_overlay(arguments, files)

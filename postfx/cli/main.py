@@ -93,6 +93,16 @@ def read_and_write_by(threads: int | None) -> None:
         oiio.attribute(name, threads or usable_cores())
 
 
+def _place_of_run_options(parser: argparse.ArgumentParser, word: str) -> str:
+    """For verbs that hand options of `postfx run` on."""
+    from postfx.cli.run_options import RUN
+
+    verb, flag = parser.prog.split()[-1], word.partition("=")[0]
+    if verb not in FORWARDING or flag not in {name for option in RUN for name in (option.flag, option.short)}:
+        return ""
+    return f": options of 'postfx run' go behind --, as in: postfx {verb} ... -- {word}"
+
+
 def make_parser(used: Collection[str] = tuple(VERBS)) -> argparse.ArgumentParser:
     """Parser that lists all verbs and knows the arguments of those in `used`, whose modules it loads."""
     parser = Parser(
@@ -103,6 +113,7 @@ def make_parser(used: Collection[str] = tuple(VERBS)) -> argparse.ArgumentParser
     parser.add_argument("--version", action="version", version=f"postfx {__version__}")
     parser.add_argument("--completion", metavar="SHELL", choices=SHELLS, action=_Completion,
                         help=f"print a script that completes commands in {', '.join(SHELLS[:-1])} or {SHELLS[-1]}")
+    parser.hint = _place_of_run_options
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
     for name, summary in VERBS.items():
         added = verbs.add_parser(name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -246,11 +246,13 @@ class Parser(argparse.ArgumentParser):
         declared: the options that were added, if they were declared together.
         more: what --help-all says after the description, and its examples in place of `epilog`.
         complete: is called with the arguments and the names of those that were given.
+        hint: says of a verb's parser and an argument that it does not know where that belongs, or ''.
     """
 
     declared: Options | None = None
     more: tuple[str, str] = "", ""
     complete: Callable[[argparse.Namespace, set[str]], None] | None = None
+    hint: Callable[[argparse.ArgumentParser, str], str] = staticmethod(lambda parser, word: "")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As in the base class; also records which options are given."""
@@ -297,7 +299,8 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             used = getattr(found, "parser", self)
             flags = [flag for action in used._actions for flag in action.option_strings]
-            used.error(f"unrecognized arguments: {' '.join(unknown)}{suggest(unknown[0].partition('=')[0], flags)}")
+            hint = self.hint(used, unknown[0]) or suggest(unknown[0].partition("=")[0], flags)
+            used.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return found
 
     def error(self, message: str) -> NoReturn:

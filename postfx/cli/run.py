@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from contextlib import suppress
 
 from postfx.cli.config import complete
 from postfx.cli.options import Parser
@@ -126,7 +127,8 @@ def execute(arguments: argparse.Namespace) -> int:
         failure = failure or error
         report = job.report(failure)
     if told := report.problems() if arguments.quiet else report.summary():
-        print(told, file=sys.stderr)
+        with suppress(OSError):  # the frames are there, whoever does not listen any more
+            print(told, file=sys.stderr)
     if arguments.json:
         print(json.dumps(report.as_dict()))
     if failure:

@@ -183,12 +183,17 @@ def _roles_unread(overlay: str) -> tuple[Role, ...]:
 
 
 def _find_network(tag: str) -> str:
-    """A denoiser's file, or its tag; ModelError that lists all for any other word."""
+    """A denoiser's file, or its tag; ModelError that names the sizes for any other word."""
+    from postfx.errors import ModelError
     from postfx.passes.denoise.models import CLASSIC, FILE, find_model, model_of
 
     if not tag.endswith(FILE) and tag != CLASSIC:
         library, name = find_model(model_of(tag))
-        library.path(name)
+        try:
+            library.path(name)
+        except ModelError as error:
+            known, _, _ = str(error).partition(" there are ")
+            raise ModelError(f"{known} give s, m, l, classic or FILE.onnx; 'postfx models' lists all") from None
     return tag
 
 
@@ -210,7 +215,7 @@ def _list_passes() -> str:
 
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
-           help="preview: the fastest, --model s without run-up and preroll; final: the cleanest, --both-ways "
+           help="preview: the fastest, --model s without a run-up, --preroll 0; final: the cleanest, --both-ways "
            "--with auto; animation: as clean, and steady in brightness, --both-ways --exposure smooth. Options that "
            "you give yourself win"),
     Option(flag="--scale", basic=True, metavar="S", type=float, either="size", sets="denoiser.scale",

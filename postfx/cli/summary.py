@@ -6,13 +6,14 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from datetime import timedelta
 from math import ceil, log2
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from postfx.files import make_printable
 from postfx.frame import Frame, Role
@@ -135,8 +136,6 @@ class FrameProgress:
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(compact=True),
-            TextColumn("left"),
             console=self._console,
             transient=True,
             disable=quiet or not self._console.is_terminal,
@@ -172,8 +171,9 @@ class FrameProgress:
     def advance(self, path: str) -> None:
         """Count a frame that was written to `path`."""
         self._done, self._fresh = self._done + 1, self._fresh + 1
-        rate = f"{self._fresh / (time.perf_counter() - self._begin):.2f} frames/s"
-        self._bar.update(self._task, advance=1, rate=rate)
+        speed = self._fresh / (time.perf_counter() - self._begin)
+        rate, left = f"{speed:.2f} frames/s", timedelta(seconds=round((self._total - self._done) / speed))
+        self._bar.update(self._task, advance=1, rate=f"{rate}, {left} left")
         if not self._console.is_terminal:
             self.note(f"{self._done}/{self._total} {path} ({rate})")
 

@@ -60,11 +60,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Watch until the end; returns the exit code."""
     from postfx.cli.interruptions import Stop
-    from postfx.errors import ReadError
+    from postfx.errors import ReadError, SequenceError
 
     def tell(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
+    folder = Path(arguments.input) if Path(arguments.input).is_dir() else Path(arguments.input).parent
+    if arguments.input.endswith("/") and not Path(arguments.input).is_dir() or not folder.is_dir():
+        raise SequenceError(f"{arguments.input}: there is no such folder: make it, or check its name")
     with Stop(tell) as stop:
         arrivals = Arrivals(arguments, stop.check, tell)
         job: Job | None = None

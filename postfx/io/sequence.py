@@ -193,6 +193,10 @@ class Sequence:
         """MissingFrameError that names all of these frames that are not on the disk."""
         numbers = list(numbers)
         missing = sorted({number for number in numbers if not self.holds(number)})
+        there = self.present()
+        if there and not {*self.numbers} & {*there}:
+            raise MissingFrameError(f"{self.pattern}: there are frames {format_frames(there)}, none of "
+                                    f"{format_frames(self.numbers)}: give --frames that are there")
         if len(missing) == 1:
             self.inputs(missing[0])
         elif missing:

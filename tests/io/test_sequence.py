@@ -90,7 +90,8 @@ def test_shorter_numbers_beside_padded_ones_are_left_out_and_named(shot):
 
 
 @pytest.mark.parametrize(
-    ("text", "numbers"), [("1-10x3", [1, 4, 7, 10]), ("1,5,7-9", [1, 5, 7, 8, 9]), ("3-1", [1, 2, 3])]
+    ("text", "numbers"),
+    [("1-10x3", [1, 4, 7, 10]), ("1,5,7-9", [1, 5, 7, 8, 9]), ("3-1", [1, 2, 3]), ("3,1", [1, 3])],
 )
 def test_frame_ranges(text, numbers):
     assert parse_frames(text) == numbers

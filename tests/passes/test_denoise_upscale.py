@@ -144,7 +144,7 @@ def test_bad_pixels_harm_no_other_part_of_the_picture(device: Device) -> None:
 
 def test_frame_by_frame_equals_a_run(device: Device) -> None:
     frames = [noisy(number) for number in (1, 2, 3)]
-    upscale = Pipeline([DenoiseUpscale()])
+    upscale = Pipeline([DenoiseUpscale(scale=2)])
     single = [upscale(frame)[Role.COLOUR] for frame in frames]
     for one, other in zip(single, run(frames, device, "auto"), strict=True):
         np.testing.assert_array_equal(one, other[Role.COLOUR])

@@ -1,0 +1,74 @@
+"""Small things that cost trust: each message says what is wrong, and nothing stops frames from being written."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from postfx.cli.main import main
+
+RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--device", "cpu")
+QUICK = ("--no-denoise", "--tonemap")
+
+
+@pytest.fixture
+def here(shot, tmp_path, monkeypatch) -> Path:
+    shot(1, 2, 3)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (("--model", "x"), "give s, m, l, classic or FILE.onnx; 'postfx models' lists all"),
+    (("--memory", "4"), "memory budget '4' is in bytes without a unit: 4G for gigabytes?"),
+    (("--scale", "9"), "scales by 1 to 3, not 9"),
+    (("--frames", "100-200"), "there are frames 1-3, none of 100-200: give --frames that are there"),
+])
+def test_a_wrong_value_is_told_before_files_that_are_there(here, capsys, words, said):
+    assert main([*RUN, *QUICK]) == 0
+    capsys.readouterr()
+    assert main([*RUN, *words]) == 2
+    told = capsys.readouterr().err
+    assert said in told and "already there" not in told and told.count("\n") == 1 and len(told) < 250
+
+
+@pytest.mark.parametrize("verb", ["chunks", "watch"])
+def test_options_of_run_go_behind_two_dashes(here, capsys, verb):
+    with pytest.raises(SystemExit):
+        main([verb, "in/", "-o", "out/", "--model", "s"])
+    told = capsys.readouterr().err
+    assert f"options of 'postfx run' go behind --, as in: postfx {verb} ... -- --model" in told
+
+
+def test_chunks_check_the_options_behind_the_dashes(here, capsys):
+    for words, said in ((("--model", "x"), "give s, m, l"), (("--scale", "9"), "scales by 1 to 3")):
+        assert main(["chunks", "in/", "-o", "out/", "--", *words]) == 2
+        assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("folder", ["nowhere/", "nowhere/shot.####.exr"])
+def test_a_folder_that_is_not_there_is_not_watched(here, capsys, folder):
+    assert main(["watch", folder, "-o", "out/"]) == 2
+    assert f"{folder}: there is no such folder" in capsys.readouterr().err
+
+
+def test_interpolation_counts_its_frames(here, capsys):
+    assert main(["interpolate", "in/", "-o", "between/"]) == 0
+    told = capsys.readouterr().err
+    assert "1/5 between/shot.0001.exr (" in told and "5/5 " in told and "frames/s)" in told
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("where", ["full", "closed"])
+def test_who_does_not_listen_stops_no_frame(here, where):
+    command = [sys.executable, "-m", "postfx", *RUN, *QUICK, "--json"]
+    if where == "full":
+        with open("/dev/full", "w") as full:
+            subprocess.run(command, stdout=full, stderr=full, timeout=120)
+    else:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        process.stdout.close()
+        process.stderr.close()
+        process.wait(120)
+    assert len(list((here / "out").glob("shot.*.exr"))) == 3
