@@ -25,13 +25,14 @@ from postfx.runtime import ArgumentTable, Device
 
 
 class Oidn:
-    """Denoises frames of one size one by one, with albedo and normal as clean auxiliary images where there are any.
+    """Denoises frames of one size one by one, with albedo and normal as auxiliary images where there are any.
 
     Args:
         quality: 'fast', 'balanced' or 'high'.
         device: 'cpu' or 'cuda'.
         threads: CPU threads.
-        prefilter: whether OIDN denoises albedo and normal first, as its guide advises for noisy ones.
+        planes: how it takes albedo and normal. 'clean': as if they had no noise. 'prefiltered': each denoised alone
+            first, as its guide advises for noisy ones. 'raw': as noisy ones. 'none': not at all.
 
     Attributes:
         milliseconds: total time in the filter, without copies to and from the device.
@@ -40,19 +41,19 @@ class Oidn:
     Raises BenchError if pyoidn is not installed or OIDN cannot run on the device.
     """
 
-    def __init__(self, quality: str, device: str, threads: int, prefilter: bool = False) -> None:
+    def __init__(self, quality: str, device: str, threads: int, planes: str = "clean") -> None:
         require("pyoidn", "pyoidn", "runs Open Image Denoise")
         self._oidn: Any = import_module("pyoidn")
         self._quality = getattr(self._oidn, f"OIDN_QUALITY_{quality.upper()}")
         self._device = self._new_device(device, threads)
         self._images: dict[str, Any] = {}
-        self._prefilter = prefilter
+        self._use = planes
         self._filters: list[Any] = []
         self.milliseconds = 0.0
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Denoised colour (h, w, 3) of a frame."""
-        planes = _planes(frame)
+        planes = _planes(frame, self._use != "none")
         if not self._filters:
             self._prepare(planes)
         for name, plane in planes.items():
@@ -81,14 +82,14 @@ class Oidn:
         """Filters and images, which later frames of the same size use again."""
         self._images = {name: self._oidn.Buffer(self._device, planes["color"].nbytes, self._oidn.OIDN_STORAGE_DEVICE)
                         for name in (*planes, "output")}
-        alone = [name for name in planes if name != "color"] if self._prefilter else []
+        alone = [name for name in planes if name != "color"] if self._use == "prefiltered" else []
         for images in (*({name: name, "output": name} for name in alone), {name: name for name in self._images}):
             made = self._oidn.Filter(self._device, self._oidn.OIDN_FILTER_TYPE_RT)
             for name, image in images.items():
                 made.set_image(name, self._images[image], self._oidn.OIDN_FORMAT_FLOAT3, *planes["color"].shape[1::-1])
             if "color" in images:
                 made.set_bool("hdr", True)
-                made.set_bool("cleanAux", "albedo" in planes)
+                made.set_bool("cleanAux", "albedo" in planes and self._use != "raw")
             made.set_quality(self._quality)
             made.commit()
             self._filters.append(made)
@@ -100,11 +101,11 @@ class Oidn:
             raise BenchError(f"OIDN failed: {message}")
 
 
-def _planes(frame: Frame) -> dict[str, np.ndarray]:
-    """Images by OIDN's names. OIDN takes normals only together with an albedo, and no value that is not finite."""
+def _planes(frame: Frame, all_planes: bool) -> dict[str, np.ndarray]:
+    """Images by OIDN's names: only the colour, or all planes. OIDN takes normals only together with an albedo, and no value that is not finite."""
     found = {"color": frame[Role.COLOUR]}
     albedos = [frame[role] for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in frame]
-    if albedos:
+    if albedos and all_planes:
         found["albedo"] = np.clip(sum(albedos), 0, 1)
         if Role.NORMAL in frame:
             found["normal"] = frame[Role.NORMAL]
