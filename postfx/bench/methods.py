@@ -40,7 +40,7 @@ class Method:
         both: whether it uses later frames as well.
         run_up: whether the first frame of a shot gets a run-up.
         quality: quality of OIDN; '' if not used.
-        planes: how OIDN takes albedo and normal (see baselines.Oidn); 'best': like the best that was measured.
+        planes: how OIDN takes albedo and normal (see `Oidn`); 'best': like the best that was measured.
         accumulated: whether it accumulates frames at output size along the motion.
         without: names of planes that the network does not get; only in ablations.
     """
@@ -202,7 +202,8 @@ class Network:
             run_up = RunUp(sequence, prepare=self._select_planes) if method.run_up else None
             if method.both:
                 self._backwards = Backwards(sequence, device, prepare=self._select_planes, model=model, scale=scale)
-        self._pipeline = Pipeline([DenoiseUpscale(model=model, scale=scale), BothWays()], device, run_up=run_up)
+        self._pipeline = Pipeline([DenoiseUpscale(model=model, scale=scale), BothWays()], device, run_up=run_up,
+                                  checks=False)
         self.device_ms = 0.0
 
     def reset(self) -> None:

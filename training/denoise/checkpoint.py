@@ -148,7 +148,10 @@ def git_commit() -> str:
 def pack(checkpoint: dict[str, Any]) -> dict[str, Any]:
     """A checkpoint small enough for the repository, from which `unpack` lets a training go on: weights and their
     average in half precision. Adam's moments are left out, as a few hundred steps bring them back."""
-    halves = {key: {name: values.half() for name, values in checkpoint[key].items()} for key in ("live", "weights")}
+    from training.denoise.residual import join_norms
+
+    halves = {key: {name: values.half() for name, values in join_norms(checkpoint[key]).items()}
+              for key in ("live", "weights")}
     kept = ("config", "notes", "step", "seconds", "seed", "commit", "arguments")
     return {key: checkpoint[key] for key in kept} | halves
 

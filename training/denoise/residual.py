@@ -4,6 +4,11 @@ The trunk of `model.py` sees the picture through a stem of stride 2, and levels 
 carries a linear stream to which blocks add, so a level that learns slowly still passes on what it gets, and the finest
 level has the render size. The inputs and the heads are those of `model.Trunk`, so the operations around the network
 stay the same.
+
+Fourteen convolutions in a row without a norm grow together: at the usual rate the stream rose from 1 to 10^7 within 40
+steps, all heads left their range, and nothing was learnt from then on. Training therefore splits each filter into its
+length and its direction (weight normalisation, Salimans and Kingma 2016). Checkpoints and exported networks hold plain
+filters: `join_norms`, `split_norms`.
 """
 
 from __future__ import annotations
@@ -11,12 +16,15 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from postfx.kernels.denoise import FEATURES, FINE, KERNEL, MIX, SHARPEN
 from training.denoise.model import LEVELS, NO_SHARPENING, Trunk, TrunkConfig, activate_fine, filters
 
+BRANCH = 0.2  # of the usual first weights of what a block adds
+STEEPEST = 8.0  # logits stay within this
 HEAD_STD = 0.01  # of the heads' first weights: filters start nearly even
 
 
@@ -67,17 +75,25 @@ class ResidualConfig:
 
 
 class ResidualBlock(nn.Module):
-    """x + conv(ReLU(conv(x))). It begins as the identity."""
+    """x + conv(ReLU(conv(x))). It begins near the identity."""
 
     def __init__(self, width: int):
         super().__init__()
         self.first = nn.Conv2d(width, width, 3, padding=1)
         self.second = nn.Conv2d(width, width, 3, padding=1)
-        nn.init.zeros_(self.second.weight)
-        nn.init.zeros_(self.second.bias)
+        with torch.no_grad():
+            self.second.weight.mul_(BRANCH)
+            self.second.bias.zero_()
 
     def forward(self, x: Tensor) -> Tensor:
         return x + self.second(F.relu(self.first(x)))
+
+
+def bound(logits: Tensor) -> Tensor:
+    """Logits within `STEEPEST`, where filters are clamped anyway, but with the gradient of the unbounded ones: clamped
+    logits have none, so a head that once left the range for all pixels would never come back."""
+    logits = logits.float()
+    return logits + (logits.clamp(-STEEPEST, STEEPEST) - logits).detach()
 
 
 def blocks(width: int, count: int) -> nn.Sequential:
@@ -114,16 +130,51 @@ class ResidualTrunk(nn.Module):
         for level, stack in enumerate(self.down):
             x = stack(self.shrink[level - 1](x) if level else x)
             skips.append(x)
-        levels = [filters(self.heads[-1](x))]
+        levels = [filters(bound(self.heads[-1](x)))]
         for level in reversed(range(LEVELS)):
             lifted = F.interpolate(self.lift[level](x), scale_factor=2.0, mode="nearest")
             x = self.up[level](skips[level] + lifted)
             if level:
-                levels.insert(0, filters(self.heads[level - 1](x)))
+                levels.insert(0, filters(bound(self.heads[level - 1](x))))
         return self._fine(x), *levels
 
     def _fine(self, x: Tensor) -> Tensor:
-        return activate_fine(self.fine(x))
+        return activate_fine(bound(self.fine(x)))
+
+
+SPLIT = "parametrizations.weight.original"  # what torch calls the parts of a split filter
+LENGTH, DIRECTION = SPLIT + "0", SPLIT + "1"
+
+
+def with_norms(trunk: ResidualTrunk) -> ResidualTrunk:
+    """The trunk, each filter split into length and direction."""
+    for layer in [layer for layer in trunk.modules() if isinstance(layer, nn.Conv2d)]:
+        nn.utils.parametrizations.weight_norm(layer)
+    return trunk
+
+
+def join_norms(weights: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Plain filters from split ones; others stay as they are."""
+    joined = {name: values for name, values in weights.items() if not name.endswith((LENGTH, DIRECTION))}
+    for name, length in weights.items():
+        if name.endswith(LENGTH):
+            direction = weights[name.removesuffix(LENGTH) + DIRECTION]
+            norm = direction.flatten(1).norm(dim=1).reshape(length.shape)
+            joined[name.removesuffix(LENGTH) + "weight"] = length * direction / norm
+    return joined
+
+
+def split_norms(weights: dict[str, Tensor], like: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Filters split in the way that the names of ``like`` show; the opposite of `join_norms`."""
+    found = {}
+    for name in like:
+        if name.endswith((LENGTH, DIRECTION)):
+            plain = weights[name[:name.index(SPLIT)] + "weight"]
+            length = plain.flatten(1).norm(dim=1).reshape(-1, *[1] * (plain.ndim - 1))
+            found[name] = length if name.endswith(LENGTH) else plain
+        else:
+            found[name] = weights[name]
+    return found
 
 
 def trunk_from(config: dict[str, Any]) -> Trunk | ResidualTrunk:

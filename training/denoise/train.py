@@ -40,7 +40,7 @@ from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
 from training.denoise.loss import LIGHT, ClipLoss
 from training.denoise.model import DenoiseUpscale, State, Trunk, TrunkConfig, empty_state
-from training.denoise.residual import ResidualConfig, ResidualTrunk
+from training.denoise.residual import ResidualConfig, ResidualTrunk, join_norms, split_norms, with_norms
 from training.measure.runs import append_run
 
 # Settings -----------------------------------------------------------------------------------------------------------
@@ -148,7 +148,8 @@ def rate_at(progress: float, step: int, peak: float, cool: float | None = None) 
 def trunk_of(args: argparse.Namespace) -> Trunk | ResidualTrunk:
     """The network of the arguments, with random weights."""
     if args.residual:
-        return ResidualTrunk(ResidualConfig(tuple(args.widths), tuple(args.down), tuple(args.up), args.trust))
+        layout = ResidualConfig(tuple(args.widths), tuple(args.down), tuple(args.up), args.trust)
+        return with_norms(ResidualTrunk(layout))
     return Trunk(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach, args.trust))
 
 
@@ -273,14 +274,16 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
     step, start = 0, time.monotonic()
     if args.onward:
         saved = unpack(args.onward)
-        model.load_state_dict(saved["live"])
-        average.weights = {k: v.to(device) for k, v in saved["weights"].items()}
+        live, mean = (split_norms(saved[key], model.state_dict()) for key in ("live", "weights"))
+        model.load_state_dict(live)
+        average.weights = {k: v.to(device) for k, v in mean.items()}
         step = saved["step"]
     begun = step
     if args.resume:
         saved = read(args.resume)
         model.load_state_dict(saved["live"])
-        average.weights = {k: v.to(device) for k, v in saved["weights"].items()}
+        mean = split_norms(saved["weights"], model.state_dict())
+        average.weights = {k: v.to(device) for k, v in mean.items()}
         optimiser.load_state_dict(saved["optimiser"])
         flat.nonfinite.fill_(saved["nonfinite"])
         step, start = saved["step"], time.monotonic() - saved["seconds"]
@@ -305,7 +308,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
         if args.both_ways:
             both = validate(loss, average.weights, pool, both=True)
             notes |= {"both_ways": args.both_ways, "both_psnr": both[0], "both_flicker": both[1]}
-        weights = {k: v.cpu().contiguous() for k, v in average.weights.items()}
+        weights = {k: v.cpu().contiguous() for k, v in join_norms(average.weights).items()}
         save({"config": model.config.as_dict(), "weights": weights, "notes": notes, "live": model.state_dict(),
               "optimiser": optimiser.state_dict(), "step": step, "seconds": time.monotonic() - start,
               "rate": optimiser.param_groups[0]["lr"], "seed": args.seed,

@@ -25,7 +25,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +34,13 @@ import numpy as np
 from postfx.bench.baselines import Accumulator, HostKernels, Oidn
 from postfx.bench.metrics import SequenceScore
 from postfx.errors import PostfxError
-from postfx.frame import Frame, Role
+from postfx.frame import Role
 from postfx.io.sequence import Sequence
+from postfx.oidn import WAYS
 from postfx.runtime import Device
-from training.datagen.cycles.exchange import read_pass
 
 FIGURES = ("psnr", "flip", "flicker")
-SINGLE = ("clean", "prefiltered", "raw", "none")
+SINGLE = (*WAYS, "none")
 """Ways to give planes to Open Image Denoise."""
 ACCUMULATED = "accumulated"
 SIZES = {"1x": ("noisy", 1), "2x": ("half", 2)}
@@ -107,7 +107,6 @@ class Judge:
         references = Sequence(shot.reference)
         self.noisy = Sequence(shot.noisy)
         self.frames = [self.noisy.read(number) for number in self.noisy.numbers]
-        self.paths = [self.noisy.pattern.path(number) for number in self.noisy.numbers]
         self._targets = [references.read(frame.number, [Role.COLOUR]) for frame in self.frames]
         self.size = self._targets[0][Role.COLOUR].shape[:2]
 
@@ -124,13 +123,11 @@ def five_ways(judge: Judge, threads: int) -> dict[str, Scores]:
     """Scores of Open Image Denoise by way; frames without motion are not accumulated."""
     device = Device("cpu", threads)
     kernels = HostKernels(device)
-    shown = [with_denoising_albedo(frame, path)
-             for frame, path in zip(judge.frames, judge.paths, strict=True)]
     made, scores = {}, {}
     for planes in SINGLE:
         denoise = Oidn("high", "cpu", threads, planes)
         made[planes] = [kernels.enlarge(denoise(frame), *judge.size, frame.jitter)
-                        for frame in shown]
+                        for frame in judge.frames]
         scores[planes] = judge.score(made[planes])
     best = max(scores, key=lambda planes: scores[planes]["psnr"])
     if all(Role.MOTION in frame for frame in judge.frames):
@@ -138,19 +135,6 @@ def five_ways(judge: Judge, threads: int) -> dict[str, Scores]:
         scores[ACCUMULATED] = judge.score([accumulate(picture, frame) for picture, frame
                                            in zip(made[best], judge.frames, strict=True)])
     return scores
-
-
-def with_denoising_albedo(frame: Frame, path: Path) -> Frame:
-    """The frame with Blender's Denoising Albedo, which follows mirrors and glass, as its albedo.
-
-    It is what Blender gives Open Image Denoise. Other files keep their albedos.
-    """
-    try:
-        albedo = read_pass(path, "Denoising Albedo", 3)
-    except KeyError:
-        return frame
-    planes = {role: plane for role, plane in frame.planes.items() if role != Role.SPECULAR_ALBEDO}
-    return replace(frame, planes=planes | {Role.DIFFUSE_ALBEDO: albedo})
 
 
 def run_postfx(shot: Shot, judge: Judge, options: list[str]) -> Scores:
