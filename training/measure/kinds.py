@@ -1,4 +1,7 @@
-"""Networks and Open Image Denoise by kind of content, on Cycles clips that no network was trained on.
+"""Networks and Open Image Denoise by kind of content, on clips of the generator that also makes training clips.
+
+No network was trained on these clips, but on others of the same making: they show whether a network has become worse,
+and flatter it beside Open Image Denoise. `training.measure.table` is the yardstick.
 
     python -m training.measure.kinds score CLIPS [--models m,s] [--json FILE]     a table by kind
     python -m training.measure.kinds score CLIPS --log training/runs.jsonl --run NAME [--models m]

@@ -146,7 +146,8 @@ def run_postfx(shot: Shot, judge: Judge, options: list[str]) -> Scores:
     try:
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
-            raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()[-500:]}")
+            last = (done.stderr.strip() or "no message").splitlines()[-1]
+            raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}: {last}")
         results = Sequence(output, planes=[Role.COLOUR])
         return judge.score([results.read(frame.number)[Role.COLOUR] for frame in judge.frames])
     finally:

@@ -1,4 +1,4 @@
-"""The networks by kinds of content, on a small set of Cycles clips that none was trained on."""
+"""The networks stay as good as they were by kinds of content, on a few clips of the generator that trains them."""
 
 from pathlib import Path
 
