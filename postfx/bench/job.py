@@ -64,7 +64,7 @@ class Bench:
 
     def run(self) -> dict[str, Any]:
         """Measure and score all methods; returns all results and facts, in plain types."""
-        rows = []
+        rows: list[dict[str, Any]] = []
         with BenchProgress([method.name for method in self.methods], self._wish.runs) as progress:
             for method in self.methods:
                 try:
