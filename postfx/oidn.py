@@ -17,6 +17,8 @@ from postfx.version import pip_install
 
 PACKAGE = "pyoidn"
 QUALITIES = ("fast", "balanced", "high")
+WAYS = ("clean", "prefiltered", "raw")
+"""How albedo and normal are taken: as if they had no noise; each filtered alone first; as noisy ones."""
 MOST_SIZES = 4
 """Most sizes and sets of planes whose filters stay committed."""
 
@@ -49,29 +51,29 @@ class Kind(NamedTuple):
     Attributes:
         height, width: of the picture.
         aids: names of the planes beside it.
-        prefilter: whether these are filtered alone first.
+        planes: how these are taken, one of WAYS.
         hdr: whether the picture is light without a limit.
     """
 
     height: int
     width: int
     aids: tuple[str, ...]
-    prefilter: bool
+    planes: str
     hdr: bool
 
 
 class OpenImageDenoise:
     """Denoises pictures, by albedo and normal where they are given.
 
-    Albedo and normal are filtered alone first, each by a filter of its own, and are then clean for the picture's
-    filter. So Open Image Denoise's guide advises for planes that are noisy themselves. Filters are committed once for
-    each size.
+    By default albedo and normal are filtered alone first, each by a filter of its own, and are then clean for the
+    picture's filter. So Open Image Denoise's guide advises for planes that are noisy themselves. Filters are committed
+    once for each size.
 
     Args:
         quality: 'fast', 'balanced' or 'high'.
         device: 'cpu' or 'cuda'.
         threads: CPU threads.
-        prefilter: False to take albedo and normal as clean as they come.
+        planes: how albedo and normal are taken, one of WAYS.
 
     Attributes:
         milliseconds: total time in the filters, without copies to and from the device.
@@ -79,11 +81,11 @@ class OpenImageDenoise:
     Raises DeviceError if the package is not installed, or the filters cannot run on the device.
     """
 
-    def __init__(self, quality: str, device: str, threads: int, prefilter: bool = True) -> None:
+    def __init__(self, quality: str, device: str, threads: int, planes: str = "prefiltered") -> None:
         require()
         self._oidn: Any = import_module(PACKAGE)
         self._quality = getattr(self._oidn, f"OIDN_QUALITY_{quality.upper()}")
-        self._prefilter = prefilter
+        self._planes = planes
         self._device = self._new_device(device, threads)
         self._ready: LRUCache[Kind, Filters] = LRUCache(MOST_SIZES)
         self.milliseconds = 0.0
@@ -102,7 +104,7 @@ class OpenImageDenoise:
         if taken and "normal" in aids:
             taken["normal"] = aids["normal"]
         height, width = picture.shape[:2]
-        kind = Kind(height, width, tuple(taken), self._prefilter, hdr)
+        kind = Kind(height, width, tuple(taken), self._planes, hdr)
         filters = self._ready.get_or_make(kind, partial(Filters, self._oidn, self._device, self._quality, kind))
         for name, plane in {"color": picture, **taken}.items():
             filters.write(name, plane)
@@ -138,10 +140,10 @@ class Filters:
         nbytes = 4 * kind.height * kind.width * 3
         names = ("color", *kind.aids, "output")
         self._images = {name: oidn.Buffer(device, nbytes, oidn.OIDN_STORAGE_DEVICE) for name in names}
-        self._filters = [self._alone(device, quality, name) for name in kind.aids if kind.prefilter]
+        self._filters = [self._alone(device, quality, name) for name in kind.aids if kind.planes == "prefiltered"]
         last = self._new(device, names)
         last.set_bool("hdr", kind.hdr)
-        last.set_bool("cleanAux", bool(kind.aids))
+        last.set_bool("cleanAux", bool(kind.aids) and kind.planes != "raw")
         self._commit(last, quality)
         self._filters.append(last)
 

@@ -23,22 +23,24 @@ from postfx.runtime import ArgumentTable, Device
 
 
 class Oidn:
-    """Denoises frames one by one, with albedo and normal as clean auxiliary images where there are any.
+    """Denoises frames one by one, with albedo and normal as auxiliary images where there are any.
 
     Args:
         quality: 'fast', 'balanced' or 'high'.
         device: 'cpu' or 'cuda'.
         threads: CPU threads.
-        prefilter: whether OIDN denoises albedo and normal first, as its guide advises for noisy ones.
+        planes: how it takes albedo and normal, one of `postfx.oidn.WAYS`, or 'none': not at all.
 
-    The albedo is the sum of diffuse and specular albedo, at most 1, which suits OIDN better than diffuse albedo alone.
+    The albedo is Blender's Denoising Albedo. Without it, it is the sum of diffuse and specular albedo, at most 1, which
+    suits OIDN better than diffuse albedo alone.
     Raises BenchError if pyoidn is not installed or OIDN cannot run on the device.
     """
 
-    def __init__(self, quality: str, device: str, threads: int, prefilter: bool = False) -> None:
+    def __init__(self, quality: str, device: str, threads: int, planes: str = "clean") -> None:
         require("pyoidn", "pyoidn", "runs Open Image Denoise")
+        self._alone = planes == "none"
         try:
-            self._denoise = OpenImageDenoise(quality, device, threads, prefilter)
+            self._denoise = OpenImageDenoise(quality, device, threads, "clean" if self._alone else planes)
         except DeviceError as error:
             raise BenchError(f"{error}: use --device cpu, or leave OIDN out by --methods") from error
 
@@ -49,13 +51,20 @@ class Oidn:
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Denoised colour (h, w, 3) of a frame."""
-        albedos = [frame[role] for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in frame]
-        aids = {"albedo": total_albedo(*albedos)} if albedos else {}
-        if Role.NORMAL in frame:
-            aids["normal"] = frame[Role.NORMAL]
         result = np.empty_like(frame[Role.COLOUR], np.float32)
-        self._denoise(frame[Role.COLOUR], aids, result)
+        self._denoise(frame[Role.COLOUR], {} if self._alone else _aids(frame), result)
         return result
+
+
+def _aids(frame: Frame) -> dict[str, np.ndarray]:
+    """Albedo and normal by OIDN's names."""
+    albedos = [frame[role] for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in frame]
+    if Role.DENOISING_ALBEDO in frame:
+        albedos = [frame[Role.DENOISING_ALBEDO]]
+    aids = {"albedo": total_albedo(*albedos)} if albedos else {}
+    if Role.NORMAL in frame:
+        aids["normal"] = frame[Role.NORMAL]
+    return aids
 
 
 class HostKernels:

@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from postfx.bench import require
 from postfx.bench.measure import Material, Sources, Task, output_pattern, run_task, score, timing
-from postfx.bench.methods import Omission, catalogue, select
+from postfx.bench.methods import Method, Omission, catalogue, select
 from postfx.bench.report import ablations, choices, compare, front, write_csv
 from postfx.errors import BenchError, WriteError
 from postfx.files import make_printable, write_text
@@ -67,11 +67,11 @@ class Bench:
 
     def run(self) -> dict[str, Any]:
         """Measure and score all methods; returns all results and facts, in plain types."""
-        rows = []
+        rows: list[dict[str, Any]] = []
         with BenchProgress([method.name for method in self.methods], self._wish.runs) as progress:
             for method in self.methods:
                 try:
-                    rows.append(self._row(method, progress))
+                    rows.append(self._row(with_planes(method, rows), progress))
                 except BenchError as error:
                     self.omissions = (*self.omissions, Omission(method.title, str(error)))
                     progress.skip(method.name, str(error))
@@ -99,7 +99,7 @@ class Bench:
         except OSError as error:
             raise WriteError(f"{folder}: cannot be written: {error.strerror}; check rights and free space") from error
 
-    def _row(self, method: Any, progress: BenchProgress) -> dict[str, Any]:
+    def _row(self, method: Method, progress: BenchProgress) -> dict[str, Any]:
         progress.begin(method.name)
         task = self._task(method)
         time = timing(run_task(task, progress.note_runs), self._device)
@@ -109,7 +109,7 @@ class Bench:
         progress.finish(time, summary)
         return {**asdict(method), "time": time, "scores": summary, "frames": scores.frames, "output": task.output}
 
-    def _task(self, method: Any) -> Task:
+    def _task(self, method: Method) -> Task:
         sources = self.material.sources
         return Task(method, sources.noisy, sources.guides if method.guides else None, sources.profile,
                     self.material.noisy.numbers, self.material.scale, self.material.size, self._device, self._threads,
@@ -136,6 +136,15 @@ class Bench:
             "ablations": ablations(rows),
             "left_out": [item._asdict() for item in self.omissions],
         }
+
+
+def with_planes(method: Method, rows: list[dict[str, Any]]) -> Method:
+    """A method whose planes are 'best', with those of the OIDN high that measured best; prefiltered where none did."""
+    if method.planes != "best":
+        return method
+    others = [row for row in rows if row["quality"] == method.quality and not row["accumulated"]]
+    best = max(others, key=lambda row: row["scores"]["psnr_late"], default={"planes": "prefiltered"})
+    return replace(method, planes=best["planes"])
 
 
 def machine() -> dict[str, Any]:

@@ -40,7 +40,7 @@ class Method:
         both: whether it uses later frames as well.
         run_up: whether the first frame of a shot gets a run-up.
         quality: quality of OIDN; '' if not used.
-        prefilter: whether OIDN denoises its albedo and normal first.
+        planes: how OIDN takes albedo and normal (see `Oidn`); 'best': like the best that was measured.
         accumulated: whether it accumulates frames at output size along the motion.
         without: names of planes that the network does not get; only in ablations.
     """
@@ -55,7 +55,7 @@ class Method:
     both: bool = False
     run_up: bool = False
     quality: str = ""
-    prefilter: bool = False
+    planes: str = "clean"
     accumulated: bool = False
     without: tuple[str, ...] = ()
 
@@ -78,8 +78,12 @@ OTHERS = (
     Method("oidn-fast", "OIDN fast", "oidn", quality="fast"),
     Method("oidn-balanced", "OIDN balanced", "oidn", quality="balanced"),
     Method("oidn-high", "OIDN high", "oidn", quality="high"),
-    Method("oidn-high-prefiltered", "OIDN high, planes prefiltered", "oidn", quality="high", prefilter=True),
-    Method("oidn-high-accumulated", "OIDN high + accumulation", "oidn", quality="high", accumulated=True),
+    Method("oidn-high-prefiltered", "OIDN high, planes prefiltered", "oidn", quality="high",
+           planes="prefiltered"),
+    Method("oidn-high-raw", "OIDN high, planes as noisy", "oidn", quality="high", planes="raw"),
+    Method("oidn-high-colour", "OIDN high, colour alone", "oidn", quality="high", planes="none"),
+    Method("oidn-high-accumulated", "OIDN high + accumulation", "oidn", quality="high", planes="best",
+           accumulated=True),
     Method("accumulation", "accumulation", "plain", accumulated=True),
     Method("bicubic", "bicubic", "plain"),
 )
@@ -234,7 +238,7 @@ class Chain:
         self._kernels = HostKernels(device)
         self._oidn = None
         if method.quality:
-            self._oidn = Oidn(method.quality, device.name.split(":")[0], device.threads, method.prefilter)
+            self._oidn = Oidn(method.quality, device.name.split(":")[0], device.threads, method.planes)
         host = HostKernels(device if device.name == "cpu" else Device("cpu", device.threads))
         self._accumulator = Accumulator(host) if method.accumulated else None
 

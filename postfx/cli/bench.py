@@ -21,10 +21,11 @@ mean absolute error of the change from frame to frame along the motion. 'late' i
 
 Methods are the networks by tag, as 'm', with '-int8', '-fp16' and '-guides' where there are such models. '-alone' drops
 the history at every frame, '-run-up' begins as 'postfx run' does, and '-both-ways' is its --both-ways. OIDN runs at the
-render size and is then enlarged: oidn-fast, oidn-balanced, oidn-high. oidn-high-prefiltered denoises albedo and normal
-first. oidn-high-accumulated is accumulated along the motion at output size. Others are accumulation and bicubic. The
-families ours, oidn and plain name all of theirs. --ablations adds 'm-without-roughness' and so on for each plane beside
-the colour, and 'm-without-all'.
+render size and is then enlarged: oidn-fast, oidn-balanced, oidn-high. It takes albedo and normal as if they were clean.
+With oidn-high-prefiltered it denoises them first. With oidn-high-raw it takes them as noisy, and with oidn-high-colour
+it gets none. For oidn-high-accumulated the best of these is accumulated along the motion at output size. Others are
+accumulation and bicubic. The families ours, oidn and plain name all of theirs. --ablations adds 'm-without-roughness'
+and so on for each plane beside the colour, and 'm-without-all'.
 """
 EXAMPLES = """\
 examples:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from postfx.bench.baselines import LONGEST, Accumulator, HostKernels
+from postfx.bench.baselines import LONGEST, Accumulator, HostKernels, Oidn
 from postfx.frame import Frame, Role
 from postfx.runtime import Device
 
@@ -80,3 +80,35 @@ def test_enlarging_keeps_flat_light_and_counts_time(kernels):
     result = kernels.enlarge(np.full((8, 12, 3), 7.0, np.float32), 20, 30, (0.2, -0.3))
     assert np.allclose(result, 7, rtol=1e-5) and result.shape == (20, 30, 3)
     assert kernels.milliseconds > before
+
+
+def noisy_edge():
+    """A frame whose colour hides an edge in noise, and whose planes show it, with noise of their own."""
+    random = np.random.default_rng(5)
+    edge = np.repeat(np.float32(np.arange(64) < 32)[None, :, None] * [0.4, 0.5, 0.6] + 0.2, 64, 0)
+    colour = edge * random.gamma(0.5, 2.0, edge.shape)
+    albedo = (edge + random.normal(0, 0.15, edge.shape)).clip(0, 1)
+    normal = np.tile(np.float32([0, 0, 1]), (64, 64, 1))
+    planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: albedo, Role.NORMAL: normal}
+    return edge, Frame({role: plane.astype(np.float32) for role, plane in planes.items()})
+
+
+def test_open_image_denoise_takes_planes_in_four_ways():
+    pytest.importorskip("pyoidn")
+    edge, given = noisy_edge()
+    errors = {way: np.square(Oidn("high", "cpu", 2, way)(given) - edge).mean()
+              for way in ("clean", "prefiltered", "raw", "none")}
+    assert len(set(errors.values())) == 4
+    assert errors["prefiltered"] < errors["none"]
+    bare = Frame({Role.COLOUR: given[Role.COLOUR]})
+    alone = Oidn("high", "cpu", 2, "none")
+    assert np.array_equal(alone(bare), alone(given))
+
+
+def test_denoising_albedo_comes_before_the_others():
+    pytest.importorskip("pyoidn")
+    _, given = noisy_edge()
+    denoise = Oidn("high", "cpu", 2)
+    black = np.zeros_like(given[Role.DIFFUSE_ALBEDO])
+    both = Frame(given.planes | {Role.DIFFUSE_ALBEDO: black, Role.DENOISING_ALBEDO: given[Role.DIFFUSE_ALBEDO]})
+    assert np.array_equal(denoise(both), denoise(given))

@@ -2,6 +2,7 @@
 
 import pytest
 
+from postfx.bench.job import with_planes
 from postfx.bench.methods import OTHERS, catalogue, select
 from postfx.errors import BenchError
 
@@ -74,3 +75,19 @@ def test_selection_by_name_family_and_tag():
 def test_names_that_fit_nothing(methods, models, message):
     with pytest.raises(BenchError, match=message):
         select(catalogue(MODELS, "cpu", guides=False, motion=True), methods, models)
+
+
+def test_what_is_accumulated_takes_planes_like_the_best_of_single_frames():
+    accumulated = next(method for method in OTHERS if method.name == "oidn-high-accumulated")
+
+    def row(planes, psnr, quality="high", accumulated=False):
+        return {"planes": planes, "quality": quality, "accumulated": accumulated, "scores": {"psnr_late": psnr}}
+    rows = [row("clean", 30), row("raw", 31), row("none", 29), row("clean", 40, ""), row("best", 50, accumulated=True)]
+    assert with_planes(accumulated, rows).planes == "raw"
+    assert with_planes(accumulated, []).planes == "prefiltered"
+    assert with_planes(OTHERS[0], rows) is OTHERS[0]
+
+
+def test_open_image_denoise_runs_in_five_ways():
+    ways = [(method.planes, method.accumulated) for method in OTHERS if method.quality == "high"]
+    assert ways == [("clean", False), ("prefiltered", False), ("raw", False), ("none", False), ("best", True)]

@@ -1,4 +1,7 @@
-"""Networks and Open Image Denoise by kind of content, on Cycles clips that no network was trained on.
+"""Networks and Open Image Denoise by kind of content, on clips of the generator that also makes training clips.
+
+No network was trained on these clips, but on others of the same making: they show whether a network has become worse,
+and flatter it beside Open Image Denoise. `training.measure.table` is the yardstick.
 
     python -m training.measure.kinds score CLIPS [--models m,s] [--json FILE]     a table by kind
     python -m training.measure.kinds score CLIPS --log training/runs.jsonl --run NAME [--models m]
@@ -49,10 +52,10 @@ def halves(clip: dict, variant: int) -> tuple[np.ndarray, np.ndarray]:
     return first, second
 
 
-def oidn_method(size: tuple[int, int], prefilter: bool = False) -> Method:
+def oidn_method(size: tuple[int, int], planes: str = "clean") -> Method:
     """Open Image Denoise, high quality with albedo and normal, as rendered or prefiltered, enlarged by cubic
     interpolation."""
-    oidn, kernels = Oidn("high", "cpu", 2, prefilter), HostKernels(Device())
+    oidn, kernels = Oidn("high", "cpu", 2, planes), HostKernels(Device())
     return lambda frame: kernels.enlarge(oidn(frame), *size, (0.0, 0.0))
 
 
@@ -83,7 +86,7 @@ def score(paths: list[Path], models: list[str]) -> list[dict]:
         for variant in range(clip["variants"]):
             row = {"clip": path.stem, "kind": clip["meta"]["kind"], "scale": scale, "spp": int(clip[f"v{variant}_spp"]),
                    "oidn": score_render(clip, variant, oidn_method(size)),
-                   "oidn_prefiltered": score_render(clip, variant, oidn_method(size, prefilter=True))}
+                   "oidn_prefiltered": score_render(clip, variant, oidn_method(size, "prefiltered"))}
             rows.append(row | {m: score_render(clip, variant, network_method(m, scale)) for m in models})
             print(json.dumps({k: round(v, 2) if isinstance(v, float) else v for k, v in rows[-1].items()}),
                   file=sys.stderr, flush=True)

@@ -17,6 +17,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
+from training.datagen import held_back
 from training.datagen.scenes import lights
 from training.datagen.scenes.build import Description
 from training.datagen.scenes.draft import Draft, View, add_moving
@@ -241,6 +242,7 @@ class _Scene:
     """A converted scene, read once."""
 
     def __init__(self, folder: Path) -> None:
+        held_back.refuse(folder.name)
         self.name = folder.name
         self.facts = json.loads((folder / "scene.json").read_text())
         with np.load(folder / "geometry.npz") as file:
@@ -262,11 +264,11 @@ def _unpack(file: np.lib.npyio.NpzFile, index: int) -> Mesh:
 
 
 class RealScenes:
-    """The scenes of a folder; empty (false) if no folder is given or it holds none."""
+    """The scenes of a folder that training may show; empty (false) if no folder is given or it holds none."""
 
     def __init__(self, folder: Path | None) -> None:
         found = sorted(Path(folder).glob("*/scene.json")) if folder else []
-        self._folders = [path.parent for path in found]
+        self._folders = held_back.for_training(path.parent for path in found)
         self._loaded: dict[Path, _Scene] = {}
 
     def __bool__(self) -> bool:

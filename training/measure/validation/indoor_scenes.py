@@ -410,9 +410,9 @@ def indirect(rng: np.random.Generator) -> None:
     add(place(tk.box(0.15, 6, 2.8), (2.3, 1.6, 1.35)), plaster)
     # The wall on the left has a slit between two shutters.
     add(place(tk.box(0.15, 2.9, 2.8), (-2.3, 0.05, 1.35)), plaster)
-    add(place(tk.box(0.15, 2.3, 2.8), (-2.3, 3.15, 1.35)), plaster)
-    add(place(tk.box(0.15, 0.6, 0.3), (-2.3, 1.75, 0.15)), plaster)
-    add(place(tk.box(0.15, 0.6, 0.3), (-2.3, 1.75, 2.6)), plaster)
+    add(place(tk.box(0.15, 2.0, 2.8), (-2.3, 3.3, 1.35)), plaster)
+    add(place(tk.box(0.15, 0.9, 0.3), (-2.3, 1.9, 0.15)), plaster)
+    add(place(tk.box(0.15, 0.9, 0.3), (-2.3, 1.9, 2.6)), plaster)
     shelf = wooden("case", 6.0, ((0.33, 0.18, 0.09), (0.18, 0.09, 0.04)))
     for z in (0.1, 0.5, 0.9, 1.3, 1.7, 2.1):
         add(place(tk.box(2.0, 0.3, 0.03), (-0.65, 4.05, z)), shelf)

@@ -4,9 +4,8 @@
 
 For each kind and frame writes DIR/KIND/noisy.SPP.####.exr and DIR/KIND/reference.####.exr, the crop
 in the middle of the picture, and DIR/KIND/half.SPP.####.exr: the same crop at half the size, with
-the rays of a full size of a quarter of the samples. Where motion is blurred, Blender writes no
-vectors: DIR/KIND/vectors.####.exr and half_vectors.####.exr hold them, rendered without blur. Goes
-on after a scene that fails; keeps files that exist.
+the rays of a full size of a quarter of the samples. Where motion is blurred, Blender 5 writes no
+vectors, and so these files have none. Goes on after a scene that fails; keeps files that exist.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from training.measure.validation import scenes  # noqa: E402
 
-VECTOR_SAMPLES = 4
 BOUNCES = 8
 
 
@@ -37,7 +35,6 @@ class Shot:
     frame: int
     samples: int
     half: bool = False
-    vectors_only: bool = False
 
     def seed(self) -> int:
         """Another seed for every file, the same in every run."""
@@ -92,7 +89,7 @@ def choose_passes(layer: bpy.types.ViewLayer, colour_only: bool, vectors: bool) 
     layer.use_pass_vector = vectors
 
 
-def shots(folder: Path, args: argparse.Namespace, blurred: bool) -> list[Shot]:
+def shots(folder: Path, args: argparse.Namespace) -> list[Shot]:
     """The noisy pictures of all frames first: they cost least and tell most."""
     found = []
     for frame in args.frames:
@@ -100,11 +97,6 @@ def shots(folder: Path, args: argparse.Namespace, blurred: bool) -> list[Shot]:
             found.append(Shot(folder / f"noisy.{samples}.{frame:04}.exr", frame, samples))
         for samples in args.half:
             found.append(Shot(folder / f"half.{samples}.{frame:04}.exr", frame, samples, True))
-        if blurred:
-            found.append(Shot(folder / f"vectors.{frame:04}.exr", frame, VECTOR_SAMPLES,
-                              vectors_only=True))
-            found.append(Shot(folder / f"half_vectors.{frame:04}.exr", frame, VECTOR_SAMPLES,
-                              half=True, vectors_only=True))
     if args.reference:
         for frame in args.frames:
             found.append(Shot(folder / f"reference.{frame:04}.exr", frame, args.reference))
@@ -113,9 +105,8 @@ def shots(folder: Path, args: argparse.Namespace, blurred: bool) -> list[Shot]:
 
 def render_shot(scene: bpy.types.Scene, shot: Shot, size: tuple[int, int], blurred: bool) -> None:
     reference = shot.path.name.startswith("reference")
-    blur = blurred and not shot.vectors_only
-    scene.render.use_motion_blur = blur
-    choose_passes(scene.view_layers[0], reference, not blur and not reference)
+    scene.render.use_motion_blur = blurred
+    choose_passes(scene.view_layers[0], reference, not blurred and not reference)
     scale = 2 if shot.half else 1
     scene.render.resolution_x, scene.render.resolution_y = size[0] // scale, size[1] // scale
     scene.render.resolution_percentage = 100
@@ -130,7 +121,7 @@ def render_shot(scene: bpy.types.Scene, shot: Shot, size: tuple[int, int], blurr
 def render_kind(kind: str, args: argparse.Namespace) -> None:
     folder = args.out / kind
     blurred = kind in scenes.BLURRED
-    missing = [shot for shot in shots(folder, args, blurred) if not shot.path.exists()]
+    missing = [shot for shot in shots(folder, args) if not shot.path.exists()]
     if not missing:
         return
     folder.mkdir(parents=True, exist_ok=True)

@@ -367,7 +367,7 @@ def street(rng: np.random.Generator) -> None:
     dark = material("people", (0.06, 0.06, 0.09), 0.8, tinted=True)
     figure = tk.join([tk.lathe([(0, 0), (0.12, 0), (0.2, 0.8), (0.24, 1.35), (0.07, 1.5), (0, 1.5)]),
                       place(tk.sphere(0.12, 8, 10), (0, 0, 1.62))])
-    for k in range(10):
+    for _ in range(10):
         person = add(figure, dark, True, tints(rng, len(figure[1]), 1, 0.3, 1.0, 0.5))
         move(person, (rng.choice([-1, 1]) * rng.uniform(4.7, 6.5), rng.uniform(6, 22), 0.16),
              (0, rng.choice([-0.05, 0.05]), 0))

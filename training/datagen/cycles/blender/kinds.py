@@ -16,6 +16,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from training.datagen.held_back import for_training
+
 from . import mitsuba_scene
 from . import scene as parts
 from .scene import Rng
@@ -44,14 +46,14 @@ KINDS = {  # how often each is drawn for training
 
 
 class Library:
-    """A folder of glTF scenes with their descriptions, panoramas and pages of text."""
+    """A folder of glTF scenes with their descriptions, panoramas and pages of text, without what is held back."""
 
     def __init__(self, root: Path | None):
         self.root = root
-        found = sorted(root.glob("*/about.json")) if root else []
-        self.about = {path.parent.name: json.loads(path.read_text()) for path in found
-                      if path.with_name("scene.gltf").exists()}
-        self.rooms = [path.parent for path in found if path.with_name("scene.xml").exists()]
+        found = for_training(path.parent for path in sorted(root.glob("*/about.json"))) if root else []
+        self.about = {folder.name: json.loads((folder / "about.json").read_text()) for folder in found
+                      if (folder / "scene.gltf").exists()}
+        self.rooms = [folder for folder in found if (folder / "scene.xml").exists()]
         self.panoramas = sorted((root / "environments").glob("*.hdr")) if root else []
         self.pages = sorted((root / "pages").glob("*.png")) if root else []
 
