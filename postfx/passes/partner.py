@@ -25,8 +25,8 @@ WEIGHT = 0.5
 """How much the partner counts in the mean of logarithms."""
 REACH = 0.5
 """How far the last mixture may lie from that mean, as a share of the way to the nearer picture. On eleven kinds of
-content, 1x, the plain mean's flicker falls from 16.0 to 13.3, that of our own network is 12.9, and the error does not
-change."""
+content at 1x the plain mean has 30.54 dB and flicker 16.0, this 30.61 dB and 13.4, our own network 29.87 dB and 12.9
+(`python -m training.measure.partner tests/training/measure/kinds`)."""
 FOLLOWED = (Role.MOTION, Role.STRENGTH)
 """Planes that the mixture uses where the frame has them."""
 
