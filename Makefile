@@ -3,6 +3,7 @@ VENV ?= .venv
 OUT ?= out/demo
 BIN := $(VENV)/bin
 PYTHONS ?= $(PYTHON)
+TARGETS ?= linux-x86_64 linux-aarch64 macos-arm64 macos-x86_64 windows-x86_64
 ORT := build/npm/node_modules/onnxruntime-web/dist
 THREE := build/npm/node_modules/three
 
@@ -10,7 +11,7 @@ THREE := build/npm/node_modules/three
 
 # Denoise, upscale and tone-map the sample sequence. Installs postfx without torch.
 demo: $(VENV)/installed
-	$(BIN)/postfx run samples/room/noisy.####.exr -o $(OUT)/clean.####.exr --overwrite
+	$(BIN)/postfx run samples/room/noisy.####.exr -o $(OUT)/clean.####.exr --scale 2 --overwrite
 	$(BIN)/postfx run $(OUT)/clean.####.exr -o $(OUT)/picture.####.png --no-denoise --overwrite
 	$(BIN)/python samples/before_after.py $(OUT)/before_after.png
 	@echo "Look at $(OUT): before_after.png, picture.*.png (tone-mapped), clean.*.exr (scene-linear); all twice as large."
@@ -47,7 +48,7 @@ page: $(VENV)/installed-docs
 # The extension for Blender 4.2 and later, to install by Preferences > Get Extensions > Install from Disk.
 blender:
 	@mkdir -p dist
-	cd hosts/blender_postfx && $(PYTHON) -m zipfile -c ../../dist/postfx-blender.zip blender_manifest.toml __init__.py
+	cd hosts/blender_postfx && $(PYTHON) -m zipfile -c ../../dist/postfx-blender.zip blender_manifest.toml __init__.py LICENSE
 	@echo dist/postfx-blender.zip
 
 # The tests of files and of the command line, as if on Windows: without what only POSIX has.
@@ -55,9 +56,11 @@ windows: export PYTHONPATH = tests/windows
 windows: $(VENV)/installed-dev
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 tests/files tests/io tests/cli tests/reliability
 
-# Wheel and sdist in dist/, each installed and run in a fresh environment of every Python in PYTHONS.
+# Wheels and sdist in dist/; this machine's wheel and the sdist are installed and run in a fresh environment of every
+# Python in PYTHONS. The kernels of all targets are compiled here; the first time, Windows takes some minutes.
 release: $(VENV)/installed-dev
 	rm -rf dist postfx/_kernels
+	for target in $(TARGETS); do POSTFX_TARGET=$$target $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; done
 	$(BIN)/python build_kernels.py
 	$(BIN)/python -m hatchling build -d dist
 	rm -rf postfx/_kernels

@@ -1,12 +1,16 @@
-"""What a build makes: the man page from the parser, and the README of the package index.
+"""What a build makes: the kernels' libraries, the man page from the parser, and the README of the package index.
 
 `python hatch_build.py FILE` writes the man page alone. POSTFX_URL, a page like https://github.com/OWNER/postfx, becomes
 a link of the project, and the README's links lead there; without it pictures and links to files are left out.
+
+POSTFX_TARGET names the machine that a wheel's kernels are compiled for, such as linux-aarch64; by default it is this
+one.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import os
 import re
 import sys
@@ -16,6 +20,16 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent
 PAGE = ROOT / "build" / "postfx.1"
+
+
+def load_kernel_build() -> Any:
+    """The module that compiles kernels, without the package around it, which needs what is installed with it."""
+    spec = importlib.util.spec_from_file_location("kernel_build", ROOT / "postfx" / "kernels" / "build.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
 
 
 def man_page() -> str:
@@ -97,14 +111,24 @@ except ImportError:  # it is called by hand
     pass
 else:
 
-    class ManPageHook(BuildHookInterface):
-        """Puts the page into a wheel, for share/man/man1 of where it is installed."""
+    class BuildHook(BuildHookInterface):
+        """Compiles the kernels, and puts their libraries and the man page into a wheel."""
 
         def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-            """Make the page before the wheel is put together."""
-            if self.target_name == "wheel":
-                write(PAGE)
-                build_data["shared_data"][str(PAGE)] = "share/man/man1/postfx.1"
+            """Make them before the wheel is put together."""
+            if self.target_name != "wheel":
+                return
+            kernels = load_kernel_build()
+            target = os.environ.get("POSTFX_TARGET") or kernels.this_target()
+            folder = kernels.PACKAGED / target
+            libraries = kernels.build(kernels.our_units(), target, folder)
+            if version != "editable":
+                digest = kernels.digest_of(kernels.our_units(), target)
+                for path in (*libraries.values(), folder / f"{digest}.json"):
+                    build_data["force_include"][str(path)] = f"postfx/_native/{target}/{path.name}"
+                build_data.update(tag=f"py3-none-{kernels.TARGETS[target].tag}", pure_python=False)
+            write(PAGE)
+            build_data["shared_data"][str(PAGE)] = "share/man/man1/postfx.1"
 
 
     class ReadmeHook(MetadataHookInterface):

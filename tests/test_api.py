@@ -25,6 +25,7 @@ PUBLIC = [
     "Partner",
     "Pipeline",
     "PostfxError",
+    "Presenter",
     "ROLES",
     "RenderSize",
     "Role",

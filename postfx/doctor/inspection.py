@@ -106,30 +106,6 @@ GUIDE_CHECKS: tuple[Check, ...] = (*VALUE_CHECKS, plane_checks.check_enlarged_pl
 """Checks that also make sense for the guides of a single frame."""
 
 
-FIRST_LOOK: tuple[Check, ...] = (
-    plane_checks.check_light_outside,
-    plane_checks.check_uniform_planes,
-    geometry_checks.check_depth_misses,
-    geometry_checks.check_normal_encoding,
-    geometry_checks.check_roughness_range,
-    motion_checks.check_motion_coded,
-)
-"""Checks that take no more than one frame and a few milliseconds, for those who run before they inspect."""
-
-
-def look_once(frame: Frame, channels: Mapping[Role, str], on_gpu: bool = False) -> list[str]:
-    """What is plainly wrong with the planes of a frame, a line each: errors and warnings of `FIRST_LOOK`.
-
-    Args:
-        channels: role -> the plane's names in the file.
-        on_gpu: whether it is denoised there, where light outside the gamut is cut.
-    """
-    found = [finding for check in FIRST_LOOK for finding in check(Material([frame]))]
-    return [f"plane {one.role} ({channels.get(Role(one.role), 'no name')}), frame {frame.number}: {one.evidence}; "
-            f"likely: {one.cause}; fix: {one.fix}" for one in most_important_first(found)
-            if one.level is not Level.INFO or (on_gpu and one.code == plane_checks.OUTSIDE_GAMUT)]
-
-
 def examine(material: Material) -> list[Finding]:
     """Findings of all checks, the most important first; evidence about guides begins with 'guides:'."""
     found = [finding for check in (*SEQUENCE_CHECKS, *VALUE_CHECKS) for finding in check(material)]

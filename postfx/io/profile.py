@@ -58,7 +58,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
@@ -66,7 +65,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from postfx.errors import ProfileError
-from postfx.files import read_text
+from postfx.files import parse_toml, read_text
 from postfx.frame import ADDITIVE, ROLES, Role
 
 
@@ -132,7 +131,7 @@ def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, where
 BUILTIN = Path(__file__).parent / "profiles"
 HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera", "near", "far", "max_velocity",
                "shutter")
-_MOST_BYTES, _MOST_DOTS = 1 << 18, 200
+_MOST_BYTES = 1 << 18
 DEPTH_KINDS = ("planar", "ray", "device", "normalised")
 SOURCES = {
     "file": "seen in files of the renderer",
@@ -231,21 +230,18 @@ def load_profile(name: str) -> Profile:
             known = ", ".join(profile_names())
             raise ProfileError(f"unknown profile '{name}': use one of {known}, or the path of a TOML file")
     try:
-        return _parse(tomllib.loads(_text(path)), path)
+        return _parse(_read_table(path), path)
     except OSError as error:
         raise ProfileError(f"{path}: profile cannot be read: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{path}: profile is not valid TOML: {error}") from error
     except RecursionError as error:
         raise ProfileError(f"{path}: profile extends itself, or its values are nested without end") from error
 
 
-def _text(path: Path) -> str:
-    """A profile's text, within bounds: tomllib takes time by the square of a dotted name's length."""
-    text = read_text(path, _MOST_BYTES)
-    if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
-        raise ProfileError(f"{path}: profile has a line of more than {_MOST_DOTS} dots")
-    return text
+def _read_table(path: Path) -> dict[str, Any]:
+    try:
+        return parse_toml(read_text(path, _MOST_BYTES))
+    except ValueError as error:
+        raise ProfileError(f"{path}: profile is not valid TOML: {error}") from error
 
 
 def _parse(table: dict[str, Any], path: Path) -> Profile:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from postfx.kernels.library import Rows
 from postfx.system import models_dir
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -114,6 +115,8 @@ class Kernel:
         """Folder of a plug-in's other forms; None for a kernel that comes with postfx."""
         if self.folder is not None:
             return self.folder
+        if isinstance(self.rows, Rows):
+            return self.rows.header and self.rows.header.resolve().parent
         code = getattr(getattr(self.rows, "py_func", self.rows), "__code__", None)  # of Numba's dispatchers, too
         folder = Path(code.co_filename).resolve().parent if code else Path(os.devnull)
         return None if folder.is_relative_to(_PACKAGE) else folder

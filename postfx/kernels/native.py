@@ -315,15 +315,18 @@ def words_of(arguments: Iterable[Any]) -> list[Any]:
 
 def bind_rows(rows: Callable[..., None], arrays: Sequence[np.ndarray]) -> Callable[[int, int], None]:
     """A function of the first and the last of a kernel's rows, with all arrays given."""
-    if isinstance(rows, KernelFunction):
-        return rows.bind(arrays)
+    if hasattr(rows, "bind"):
+        bound: Callable[[int, int], None] = rows.bind(arrays)
+        return bound
     return _bind_compiled(rows, arrays) or (lambda first, last: rows(first, last, *arrays))
 
 
 def compile_rows(rows: Callable[..., None], arrays: Sequence[str]) -> None:
-    """Compile a kernel's rows for arrays of these kinds, unless the library has them or it is not Numba's."""
+    """Have a kernel's rows ready for arrays of these kinds; Numba compiles them unless a library has them."""
     kinds = ("q", "q", *arrays)
-    if hasattr(rows, "compile") and not (isinstance(rows, KernelFunction) and kinds in rows.forms):
+    if hasattr(rows, "prepare"):
+        rows.prepare(tuple(arrays))
+    elif hasattr(rows, "compile") and not (isinstance(rows, KernelFunction) and kinds in rows.forms):
         rows.compile(signature(kinds))
 
 

@@ -177,7 +177,7 @@ class Options:
     log: str | None = None
     checkpoint: float | None = 30.0
     rerun: int | None = None
-    preroll: int | str = 0
+    preroll: int | str = "auto"
 
 
 class Run:

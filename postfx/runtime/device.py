@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import re
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, cached_property
 from itertools import pairwise
@@ -31,7 +31,18 @@ from postfx.runtime.heap import Heap
 from postfx.runtime.memory import CUDA, HOST, HOST_KINDS, HostMemory, Immediate, Memory, address, borrow, byte_span
 from postfx.runtime.model_file import Product, fix_dimensions, take_products
 from postfx.runtime.models import Library
-from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, ort, parse_provider
+from postfx.runtime.session import (
+    CPU,
+    Placement,
+    Provider,
+    Session,
+    TableSession,
+    find_provider,
+    first_line,
+    has_networks,
+    ort,
+    parse_provider,
+)
 from postfx.runtime.states import (
     CompiledComputeState,
     CudaComputeState,
@@ -42,7 +53,7 @@ from postfx.runtime.states import (
 )
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, name_of, size_in_bytes
 from postfx.runtime.threads import Band, CommandQueue, Helpers, Slots, wait_for_all
-from postfx.system import Scratch, usable_cores
+from postfx.system import Scratch, Workers, usable_cores
 from postfx.version import pip_install
 
 if TYPE_CHECKING:
@@ -126,14 +137,14 @@ class Device:
         return CommandQueue(f"postfx {self.name}")
 
     @cached_property
-    def lanes(self) -> ThreadPoolExecutor:
+    def lanes(self) -> Workers:
         """Threads for commands that run side by side."""
-        return ThreadPoolExecutor(self.threads, thread_name_prefix="postfx lane")
+        return Workers(self.threads, thread_name_prefix="postfx lane")
 
     @cached_property
-    def coordinators(self) -> ThreadPoolExecutor:
+    def coordinators(self) -> Workers:
         """Threads that wait for the commands of buffers which run beside others."""
-        return ThreadPoolExecutor(self.threads, thread_name_prefix="postfx buffer")
+        return Workers(self.threads, thread_name_prefix="postfx buffer")
 
     @cached_property
     def slots(self) -> Slots:
@@ -265,8 +276,12 @@ class Device:
         return PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken,
                              products)
 
-    def _session(self, content: bytes, library: Library, name: str, placement: Placement, fixed: Dims) -> Session:
-        """A network's session, all of whose dimensions are fixed."""
+    def _session(self, content: bytes, library: Library, name: str, placement: Placement,
+                 fixed: Dims) -> Session | TableSession:
+        """A network's session, all of whose dimensions are fixed; without ONNX Runtime its tables, if it is no more."""
+        if not has_networks():
+            with contextlib.suppress(ValueError):
+                return TableSession(content)
         named = {key: size for key, size in fixed.items() if isinstance(key, str)}
         session = Session(content, name, placement, named, library.path(name).parent,
                           placement.provider != CPU and placement.stream != 0)

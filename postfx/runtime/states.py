@@ -14,7 +14,7 @@ from postfx.errors import BindingError, ModelError
 from postfx.kernels.native import bind_rows, compile_rows
 from postfx.runtime.convolutions import Convolutions, Gpu, Head, Layer, give_heads
 from postfx.runtime.model_file import Product
-from postfx.runtime.session import Session
+from postfx.runtime.session import Session, TableSession
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 
 if TYPE_CHECKING:
@@ -102,8 +102,8 @@ class PipelineState:
     stage = "machine-learning"
     capturable = True
 
-    def __init__(self, device: StateDevice, name: str, session: Session, dims: dict[str, int], model: Path,
-                 constants: Sequence[str] = (), in_place: Mapping[str, str] | None = None,
+    def __init__(self, device: StateDevice, name: str, session: Session | TableSession, dims: dict[str, int],
+                 model: Path, constants: Sequence[str] = (), in_place: Mapping[str, str] | None = None,
                  threads: int | None = None, products: Mapping[str, Product] | None = None) -> None:
         self.device = device
         self.products = products or {}
@@ -274,7 +274,7 @@ def _compile_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
 
 
 def _session_bindings(
-    name: str, session: Session, constants: Sequence[str], in_place: Mapping[str, str]
+    name: str, session: Session | TableSession, constants: Sequence[str], in_place: Mapping[str, str]
 ) -> tuple[Binding, ...]:
     reads = {value.name: Binding(value.name, "read", value.fixed, value.dtype) for value in session.inputs}
     writes = {value.name: Binding(value.name, "write", value.fixed, value.dtype) for value in session.outputs
@@ -292,7 +292,8 @@ def _session_bindings(
 
 
 def _bind_session(
-    session: Session, bindings: tuple[Binding, ...], tensors: Sequence[Tensor], in_place: Mapping[str, str]
+    session: Session | TableSession, bindings: tuple[Binding, ...], tensors: Sequence[Tensor],
+    in_place: Mapping[str, str],
 ) -> Callable[[], None]:
     """A function that runs a session. What it changes in place is written elsewhere first, as its nodes may read it to
     the end."""

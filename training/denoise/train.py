@@ -148,7 +148,8 @@ def rate_at(progress: float, step: int, peak: float, cool: float | None = None) 
 def trunk_of(args: argparse.Namespace) -> Trunk | ResidualTrunk:
     """The network of the arguments, with random weights."""
     if args.residual:
-        return ResidualTrunk(ResidualConfig(tuple(args.widths), tuple(args.down), tuple(args.up), args.trust))
+        layout = ResidualConfig(tuple(args.widths), tuple(args.down), tuple(args.up), args.trust)
+        return ResidualTrunk(layout)
     return Trunk(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach, args.trust))
 
 

@@ -30,6 +30,7 @@ from dataclasses import replace
 import numpy as np
 
 from postfx.kernels import Kernel
+from postfx.kernels.library import Rows
 
 HIDDEN = 8
 STATE = 4 + HIDDEN
@@ -107,11 +108,12 @@ SHAPES = PLANES | GUIDE_PLANES | {
 TYPES = {"codes": "uint8", "factors": "int8"}
 
 
-def kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...], rows: Callable[..., None],
+def kernel(name: str, reads: tuple[str, ...], writes: tuple[str, ...], rows: Callable[..., None] | None,
            rows_of: tuple[str, int], **shapes: tuple[int | str, ...]) -> Kernel:
-    """A kernel whose bindings have the shapes above, or those given."""
+    """A kernel whose bindings have the shapes above, or those given. Without `rows`, C++ exports them by its name."""
     named = SHAPES | shapes
-    return Kernel(f"denoise_{name}", reads, writes, rows, rows_of, {key: named[key] for key in reads + writes},
+    own = f"denoise_{name}"
+    return Kernel(own, reads, writes, rows or Rows(own), rows_of, {key: named[key] for key in reads + writes},
                   {key: TYPES[key] for key in reads if key in TYPES})
 
 

@@ -31,6 +31,7 @@ import numpy as np
 
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, STEEPEST, in_half, kernel
+from postfx.kernels.library import Rows
 from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, inline, vectorised
 from postfx.kernels.vectors import multiply_codes, turn_codes, wide_rows
 
@@ -123,40 +124,7 @@ def state(logit: Real) -> Real:
     return ONE - TWO / (ONE + exp(min(max(TWO * logit, LEAST), MOST)))
 
 
-@fused
-def weights(left: np.ndarray, right: np.ndarray, row: np.ndarray) -> None:
-    for x in range(left.size):
-        row[2 * x], row[2 * x + 1] = weight(left[x]), weight(right[x])
-
-
-@fused
-def gates(left: np.ndarray, right: np.ndarray, row: np.ndarray) -> None:
-    for x in range(left.size):
-        row[2 * x], row[2 * x + 1] = gate(left[x]), gate(right[x])
-
-
-@fused
-def states(left: np.ndarray, right: np.ndarray, row: np.ndarray) -> None:
-    for x in range(left.size):
-        row[2 * x], row[2 * x + 1] = state(left[x]), state(right[x])
-
-
-@compiled
-def open_phased_rows(y0: int, y1: int, phased_fine: np.ndarray, fine: np.ndarray) -> None:
-    """The fine head: weights, gates and the hidden state."""
-    for channel in range(FINE):
-        for y in range(y0, y1):
-            first = 4 * channel + 2 * (y % 2)
-            left, right, row = phased_fine[0, first, y // 2], phased_fine[0, first + 1, y // 2], fine[0, channel, y]
-            if channel < BLEND:
-                weights(left, right, row)
-            elif channel < MEMORY:
-                gates(left, right, row)
-            else:
-                states(left, right, row)
-
-
-OPEN_PHASED = kernel("open_phased", ("phased_fine",), ("fine",), open_phased_rows, ("fine", 2),
+OPEN_PHASED = kernel("open_phased", ("phased_fine",), ("fine",), None, ("fine", 2),
                      phased_fine=(1, 4 * FINE, "half_hp", "half_wp"), fine=(1, FINE, "2*half_hp", "2*half_wp"))
 
 
@@ -185,16 +153,6 @@ def scaled_states(left: np.ndarray, right: np.ndarray, scales: np.ndarray, row: 
 
 
 @compiled
-def open_fine_channels(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, first: int,
-                       fine: np.ndarray) -> None:
-    """Channels of the fine head, from the `first` on: weights, gates and the hidden state."""
-    for channel in range(first, first + fine.shape[1]):
-        for y in range(y0, y1):
-            at = 4 * (channel - first)
-            open_channel(channel, 2 * (y % 2), products[0, at:at + 4, y // 2], scaling, fine[0, channel - first, y])
-
-
-@compiled
 def open_channel(channel: int, phase: int, sums: np.ndarray, scaling: np.ndarray, row: np.ndarray) -> None:
     """A channel of the fine head in a row of pixels, from its sums (4, at least w / 2) and its first phase there."""
     left, right = sums[phase, :row.size // 2], sums[phase + 1, :row.size // 2]
@@ -207,57 +165,12 @@ def open_channel(channel: int, phase: int, sums: np.ndarray, scaling: np.ndarray
         scaled_states(left, right, scales, row)
 
 
-@compiled
-def open_fine_products_rows(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, fine: np.ndarray) -> None:
-    """The fine head."""
-    open_fine_channels(y0, y1, products, scaling, 0, fine)
-
-
-@compiled
-def open_some_products_rows(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, first: np.ndarray,
-                            fine: np.ndarray) -> None:
-    """Some channels of the fine head, from `first` (1,) on."""
-    open_fine_channels(y0, y1, products, scaling, int(first[0]), fine)
-
-
-@fused
-def level_weights(sums: np.ndarray, scale: Real, bias: Real, row: np.ndarray) -> None:
-    """Filter weights of a row of places."""
-    for x in range(row.size):
-        row[x] = weight(np.float32(sums[x]) * scale + bias)
-
-
-@fused
-def level_gates(sums: np.ndarray, scale: Real, bias: Real, row: np.ndarray) -> None:
-    """Logistic function, likewise."""
-    for x in range(row.size):
-        row[x] = gate(np.float32(sums[x]) * scale + bias)
-
-
-@compiled
-def open_level(channel: int, sums: np.ndarray, scaling: np.ndarray, row: np.ndarray) -> None:
-    """A channel of a level's head in a row of places."""
-    scale, bias = scaling[0, channel], scaling[1, channel]
-    if channel < KERNEL:
-        level_weights(sums, scale, bias, row)
-    else:
-        level_gates(sums, scale, bias, row)
-
-
-@compiled
-def open_products_rows(y0: int, y1: int, products: np.ndarray, scaling: np.ndarray, heads: np.ndarray) -> None:
-    """Weights of a level's filters and its mix, which the coarsest level lacks."""
-    for channel in range(heads.shape[1]):
-        for y in range(y0, y1):
-            open_level(channel, products[0, channel, y], scaling, heads[0, channel, y])
-
-
 OPEN_PRODUCTS = Kernel(
-    "denoise_open_products", ("products", "scaling"), ("heads",), open_products_rows, ("heads", 2),
+    "denoise_open_products", ("products", "scaling"), ("heads",), Rows("denoise_open_products"), ("heads", 2),
     {"products": (1, "heads", "hp", "wp"), "scaling": (2, "heads"), "heads": (1, "heads", "hp", "wp")},
     {"products": "int32"})
 OPEN_FINE_PRODUCTS = Kernel(
-    "denoise_open_fine_products", ("products", "scaling"), ("fine",), open_fine_products_rows, ("fine", 2),
+    "denoise_open_fine_products", ("products", "scaling"), ("fine",), Rows("denoise_open_fine_products"), ("fine", 2),
     {"products": (1, 4 * FINE, "half_hp", "half_wp"), "scaling": (2, 4 * FINE),
      "fine": (1, FINE, "2*half_hp", "2*half_wp")},
     {"products": "int32"})
@@ -267,7 +180,8 @@ OPEN_FINE_PRODUCTS = Kernel(
 # latter where the former were: as phases lie apart, `SOME` channels before, where all products are opened by then.
 SOME = 8
 OPEN_SOME_PRODUCTS = Kernel(
-    "denoise_open_some_products", ("products", "scaling", "first"), ("fine",), open_some_products_rows, ("fine", 2),
+    "denoise_open_some_products", ("products", "scaling", "first"), ("fine",), Rows("denoise_open_some_products"),
+    ("fine", 2),
     {"products": (1, "4*channels", "half_hp", "half_wp"), "scaling": (2, 4 * FINE), "first": (1,),
      "fine": (1, "channels", "2*half_hp", "2*half_wp")},
     {"products": "int32"})
@@ -293,31 +207,9 @@ def open_fine_codes(codes: np.ndarray, factors: np.ndarray, scaling: np.ndarray,
             open_channel(channel, 2 * lower, sums, scaling, fine[0, channel - held, pair, lower])
 
 
-@compiled
-def open_fine_codes_rows(y0: int, y1: int, codes: np.ndarray, factors: np.ndarray, scaling: np.ndarray,
-                         fine: np.ndarray) -> None:
-    """The last channels of the fine head, or all of them."""
-    room, first = room_for_codes(codes), FINE - fine.shape[1]
-    for y in range(y0, y1):
-        open_fine_codes(codes[0, y], factors, scaling, (first, FINE), room, fine, first, y)
-
-
-@compiled
-def open_codes_rows(y0: int, y1: int, codes: np.ndarray, factors: np.ndarray, scaling: np.ndarray,
-                    heads: np.ndarray) -> None:
-    """Weights of a level's filters and its mix, which the coarsest level lacks."""
-    (turned, sums), w = room_for_codes(codes), heads.shape[3]
-    for y in range(y0, y1):
-        turn_codes(codes[0, y], turned)
-        for channel in range(heads.shape[1]):
-            if channel % 4 == 0:
-                multiply_codes(turned, factors, channel, sums)
-            open_level(channel, sums[channel % 4, :w], scaling, heads[0, channel, y])
-
-
-OPEN_CODES = kernel("open_codes", ("codes", "factors", "scaling"), ("heads",), open_codes_rows, ("heads", 2),
+OPEN_CODES = kernel("open_codes", ("codes", "factors", "scaling"), ("heads",), None, ("heads", 2),
                     codes=(1, "hp", "wp", "codes"), heads=(1, "outputs", "hp", "wp"))
-OPEN_FINE_CODES = kernel("open_fine_codes", ("codes", "factors", "scaling"), ("fine",), open_fine_codes_rows,
+OPEN_FINE_CODES = kernel("open_fine_codes", ("codes", "factors", "scaling"), ("fine",), None,
                          ("fine", 2), fine=(1, "channels", "half_hp", 2, "2*half_wp"))
 
 

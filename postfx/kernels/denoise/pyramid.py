@@ -14,12 +14,9 @@ import numpy as np
 from postfx.kernels import Blocks
 from postfx.kernels.denoise import (
     BOTH,
-    FINE,
     JITTER_X,
     JITTER_Y,
-    KERNEL,
     LEFT,
-    MIX,
     TAP_WEIGHTS,
     TINY,
     TOP,
@@ -27,213 +24,22 @@ from postfx.kernels.denoise import (
     kernel,
 )
 from postfx.kernels.denoise.alpha import NEAR, QUARTERS, cell_of, pixel_mean, spans_of
-from postfx.kernels.denoise.network_io import open_fine_codes, room_for_codes
 from postfx.kernels.denoise.upsample import gauss, is_doubled, lean, pixel_of
 from postfx.kernels.numeric import (
     Real,
-    add,
     add_eight,
-    add_product,
     add_products_of_eight,
     clamp,
     compiled,
-    divide,
     divide_eight,
     fused,
-    inline,
     load_eight,
     store_eight,
-    vectorised,
 )
 
 ZERO, ONE = np.float32(0), np.float32(1)
 SIDE, REACH = 5, 2
 """Taps along a side of a kernel, and how far they reach."""
-
-
-@vectorised
-def pool_row(upper: np.ndarray, lower: np.ndarray, above: np.ndarray, below: np.ndarray, level: np.ndarray,
-             importance: np.ndarray) -> None:
-    """Mean over 2x2 pixels of two rows (3, 2 w), weighted by their importance, and the mean importance."""
-    quarter = np.float32(0.25)
-    for x in range(level.shape[1]):
-        a, b = above[2 * x], above[2 * x + 1]
-        c, d = below[2 * x], below[2 * x + 1]
-        total = quarter * (a + b + c + d)
-        share = quarter / (total + TINY)
-        for k in range(3):
-            level[k, x] = share * (a * upper[k, 2 * x] + b * upper[k, 2 * x + 1]
-                                   + c * lower[k, 2 * x] + d * lower[k, 2 * x + 1])
-        importance[x] = total
-
-
-@compiled
-def pool_rows(y0: int, y1: int, finer: np.ndarray, finer_importance: np.ndarray, finer_rows: np.ndarray,
-              finer_columns: np.ndarray, level: np.ndarray, importance: np.ndarray) -> None:
-    """A level from the finer one, given the first row and column of each cell there; pixels beyond it have no
-    weight."""
-    h, w, first = finer.shape[1], finer.shape[2], int(finer_columns[0])
-    planes = level.shape[0]
-    whole = first == 0 and w == 2 * level.shape[2] and planes > 1
-    lines, one = np.zeros((2, 3, 2 * level.shape[2]), np.float32), np.empty((3, level.shape[2]), np.float32)
-    weights = np.zeros((2, 1, 2 * level.shape[2]), np.float32)
-    for y in range(y0, y1):
-        at = int(finer_rows[y])
-        for k in range(0, planes, 3):
-            if whole and at >= 0 and at + 1 < h:
-                pool_row(finer[k:k + 3, at], finer[k:k + 3, at + 1], finer_importance[0, at],
-                         finer_importance[0, at + 1], level[k:k + 3, y], importance[0, y])
-                continue
-            for j in range(2):
-                if 0 <= at + j < h:
-                    lines[j, :, -first:w - first] = finer[k:k + 3, at + j]
-                    weights[j, :, -first:w - first] = finer_importance[:, at + j]
-                else:
-                    lines[j], weights[j] = ZERO, ZERO
-            pool_row(lines[0], lines[1], weights[0, 0], weights[1, 0], one if planes == 1 else level[k:k + 3, y],
-                     importance[0, y])
-        if planes == 1:  # which was pooled three times
-            level[0, y] = one[0]
-
-
-@vectorised
-def mix_row(coarse: np.ndarray, level: np.ndarray, share: np.ndarray, first: int, mixed: np.ndarray) -> None:
-    """The coarser result where the network trusts it more than the level's own colour; `first` is 1 where the row
-    begins with the second pixel of a cell."""
-    for k in range(mixed.shape[0]):
-        for x in range(share.size):
-            below = coarse[k, (x + first) // 2]
-            mixed[k, x] = below + (level[k, x] - below) * share[x]
-
-
-@compiled
-def mix_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.ndarray, coarse_rows: np.ndarray,
-             coarse_columns: np.ndarray, mixed: np.ndarray) -> None:
-    """All rows of a level; for each row and column, the row and column of the coarser level that it lies in is
-    given. Of the fine head, the last channels are enough."""
-    at = KERNEL if heads.shape[1] == KERNEL + 1 else MIX - (FINE - heads.shape[1])
-    second = 1 if coarse_columns.size > 1 and coarse_columns[1] > 0 else 0
-    for y in range(y0, y1):
-        for k in range(0, mixed.shape[0], 3):
-            mix_row(coarse[k:k + 3, int(coarse_rows[y])], level[k:k + 3, y], heads[0, at, y], second, mixed[k:k + 3, y])
-
-
-@fused
-def add_five(taps: tuple[np.ndarray, ...], total: np.ndarray) -> None:
-    """total += the taps, one after the other: the sum is that of adding them in five loops."""
-    a, b, c, d, e = taps
-    for x in range(total.size):
-        total[x] = total[x] + a[x] + b[x] + c[x] + d[x] + e[x]
-
-
-@fused
-def add_products(taps: tuple[np.ndarray, ...], row: np.ndarray, total: np.ndarray) -> None:
-    """total += the taps times five neighbours of a row, from each place on; likewise."""
-    a, b, c, d, e = taps
-    for x in range(total.size):
-        total[x] = (total[x] + a[x] * row[x] + b[x] * row[x + 1] + c[x] * row[x + 2] + d[x] * row[x + 3]
-                    + e[x] * row[x + 4])
-
-
-@compiled
-def border_pixels(y: int, first: int, end: int, size: tuple[int, int], mixed: np.ndarray, weights: np.ndarray, at: int,
-                  total: np.ndarray, filtered: np.ndarray) -> None:
-    """The taps of pixels near the picture's left or right border: those beyond it do not count."""
-    h, w = size
-    for j in range(max(0, REACH - y), min(SIDE, h + REACH - y)):
-        source = y + j - REACH
-        for i in range(SIDE):
-            shift = i - REACH
-            left = min(max(first, -shift), end)
-            right = max(left, min(end, w - shift))
-            taps = weights[SIDE * j + i, at, left:right]
-            add(taps, total[left:right])
-            for k in range(mixed.shape[0]):
-                add_product(taps, mixed[k, source, left + shift:right + shift], filtered[k, y, left:right])
-
-
-@compiled
-def kernel_row(y: int, mixed: np.ndarray, weights: np.ndarray, at: int, area: np.ndarray, total: np.ndarray,
-               filtered: np.ndarray) -> None:
-    """A normalised kernel of its own for every pixel of a row, from the row ``at`` of the weights; taps beyond the
-    picture's ``area`` do not count."""
-    h, w = int(area[0]), int(area[1])
-    filtered[:, y, :] = ZERO
-    if y >= h:
-        return
-    total[:w] = TINY
-    left = min(REACH, w)
-    right = max(left, w - REACH)
-    border_pixels(y, 0, left, (h, w), mixed, weights, at, total, filtered)
-    border_pixels(y, right, w, (h, w), mixed, weights, at, total, filtered)
-    for j in range(max(0, REACH - y), min(SIDE, h + REACH - y) if right > left else 0):
-        first = SIDE * j
-        taps = (weights[first, at, left:right], weights[first + 1, at, left:right], weights[first + 2, at, left:right],
-                weights[first + 3, at, left:right], weights[first + 4, at, left:right])
-        add_five(taps, total[left:right])
-        for k in range(mixed.shape[0]):
-            add_products(taps, mixed[k, y + j - REACH, :w], filtered[k, y, left:right])
-    for k in range(mixed.shape[0]):
-        divide(filtered[k, y, :w], total[:w])
-
-
-@compiled
-def filter_rows(y0: int, y1: int, mixed: np.ndarray, heads: np.ndarray, area: np.ndarray, filtered: np.ndarray) -> None:
-    """The 5x5 kernel of a level."""
-    total = np.empty(filtered.shape[2], np.float32)
-    for y in range(y0, y1):
-        kernel_row(y, mixed, heads[0], y, area, total, filtered)
-
-
-@compiled
-def filter_codes_rows(y0: int, y1: int, mixed: np.ndarray, codes: np.ndarray, factors: np.ndarray, scaling: np.ndarray,
-                      area: np.ndarray, filtered: np.ndarray) -> None:
-    """The 5x5 kernel of the finest level, whose weights are made of codes, two rows at a time."""
-    w, room, pair = filtered.shape[2], room_for_codes(codes), -1
-    total, weights = np.empty(w, np.float32), np.empty((1, KERNEL, 1, 2, w), np.float32)
-    for y in range(y0, y1):
-        if pair != y // 2:
-            pair = y // 2
-            open_fine_codes(codes[0, pair], factors, scaling, (0, KERNEL), room, weights, 0, 0)
-        kernel_row(y, mixed, weights.reshape((KERNEL, 2, w)), y % 2, area, total, filtered)
-
-
-@inline
-def repeat_edge(line: np.ndarray, w: int) -> None:
-    """A row of w pixels from the second place on, its first and last ones repeated around it."""
-    line[0], line[w + 1] = line[1], line[w]
-
-
-@compiled
-def remodulate_rows(y0: int, y1: int, filtered: np.ndarray, factor: np.ndarray, part_rows: np.ndarray,
-                    part_columns: np.ndarray, radiance: np.ndarray) -> None:
-    """Filtered colour times reflectance: (3, th + 2, tw + 2) exposed linear, a border of repeated pixels around it."""
-    h, w = part_rows.size, part_columns.size
-    top, left = int(part_rows[0]), int(part_columns[0])
-    for row in range(y0, y1):
-        y = int(part_rows[min(max(row - 1, 0), h - 1)]) - top
-        for x in range(w):
-            column = int(part_columns[x]) - left
-            radiance[0, row, x + 1] = filtered[0, y, column] * factor[y, column, 0]
-            radiance[1, row, x + 1] = filtered[1, y, column] * factor[y, column, 1]
-            radiance[2, row, x + 1] = filtered[2, y, column] * factor[y, column, 2]
-        for c in range(3):
-            repeat_edge(radiance[c, row], w)
-
-
-@compiled
-def remodulate_both_rows(y0: int, y1: int, filtered: np.ndarray, factor: np.ndarray, part_rows: np.ndarray,
-                         part_columns: np.ndarray, both: np.ndarray) -> None:
-    """Filtered colour, then the same times reflectance: (6, th + 2, tw + 2), likewise."""
-    h, w = part_rows.size, part_columns.size
-    top, left = int(part_rows[0]), int(part_columns[0])
-    remodulate_rows(y0, y1, filtered, factor, part_rows, part_columns, both[3:])
-    for row in range(y0, y1):
-        y = int(part_rows[min(max(row - 1, 0), h - 1)]) - top
-        for c in range(3):
-            for x in range(w):
-                both[c, row, x + 1] = filtered[c, y, int(part_columns[x]) - left]
-            repeat_edge(both[c, row], w)
 
 
 @compiled
@@ -325,7 +131,7 @@ def enlarge_rows(y0: int, y1: int, filtered: np.ndarray, fine: np.ndarray, part_
 
 
 PLANAR = ("planes", "hp", "wp")
-POOL = kernel("pool", ("finer", "finer_importance", "finer_rows", "finer_columns"), ("level", "importance"), pool_rows,
+POOL = kernel("pool", ("finer", "finer_importance", "finer_rows", "finer_columns"), ("level", "importance"), None,
               ("level", 1), level=PLANAR)
 
 
@@ -336,7 +142,7 @@ def pools_rows(y0: int, y1: int, finer: np.ndarray, finer_importance: np.ndarray
     for i, (level, importance) in enumerate(zip(levels, totals, strict=True)):
         rows, columns = (2 * np.arange(size, dtype=np.float32) + first
                          for size, first in zip(level.shape[1:], (firsts[i], firsts[4 + i]), strict=True))
-        pool_rows(0, level.shape[1], finer, finer_importance, rows, columns, level, importance)
+        POOL.rows(0, level.shape[1], finer, finer_importance, rows, columns, level, importance)
         finer, finer_importance = level, importance
 
 
@@ -346,12 +152,12 @@ POOLS = replace(kernel("pools", ("finer", "finer_importance", "firsts"), tuple(_
                        finer=PLANAR, finer_importance=(1, "hp", "wp"), firsts=(8,), **_LEVELS),
                 blocks=Blocks(0, 256, most=1024))
 """All levels at once, on a GPU."""
-MIX_LEVELS = kernel("mix", ("coarse", "level", "heads", "coarse_rows", "coarse_columns"), ("mixed",), mix_rows,
+MIX_LEVELS = kernel("mix", ("coarse", "level", "heads", "coarse_rows", "coarse_columns"), ("mixed",), None,
                     ("mixed", 1), level=PLANAR, mixed=PLANAR)
-FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), filter_rows, ("filtered", 1), mixed=PLANAR,
+FILTER = kernel("filter", ("mixed", "heads", "area"), ("filtered",), None, ("filtered", 1), mixed=PLANAR,
                 filtered=PLANAR)
 FILTER_CODES = kernel("filter_codes", ("mixed", "codes", "factors", "scaling", "area"), ("filtered",),
-                      filter_codes_rows, ("filtered", 1), mixed=("planes", "2*half_hp", "2*half_wp"),
+                      None, ("filtered", 1), mixed=("planes", "2*half_hp", "2*half_wp"),
                       filtered=("planes", "2*half_hp", "2*half_wp"))
 in_half(MIX_LEVELS, "heads")
 in_half(FILTER, "heads")
@@ -362,8 +168,8 @@ def filter_mixed_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, h
                       filtered: np.ndarray) -> None:
     """What the kernel below computes. No device runs it."""
     mixed = np.empty_like(level)
-    mix_rows(0, level.shape[1], coarse, level, heads, coarse_rows, coarse_columns, mixed)
-    filter_rows(y0, y1, mixed, heads, area, filtered)
+    MIX_LEVELS.rows(0, level.shape[1], coarse, level, heads, coarse_rows, coarse_columns, mixed)
+    FILTER.rows(y0, y1, mixed, heads, area, filtered)
 
 
 FILTER_MIXED = kernel("filter_mixed", (*MIX_LEVELS.reads, "area"), ("filtered",), filter_mixed_rows, ("filtered", 1),
@@ -371,7 +177,7 @@ FILTER_MIXED = kernel("filter_mixed", (*MIX_LEVELS.reads, "area"), ("filtered",)
 """Both at once, on a GPU."""
 in_half(FILTER_MIXED, "heads")
 REMODULATE = kernel("remodulate", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),
-                    remodulate_rows, ("radiance", 1))
+                    None, ("radiance", 1))
 
 
 def filter_shaded_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, heads: np.ndarray,
@@ -382,7 +188,7 @@ def filter_shaded_rows(y0: int, y1: int, coarse: np.ndarray, level: np.ndarray, 
     filter_mixed_rows(0, level.shape[1], coarse, level, heads, coarse_rows, coarse_columns, area, filtered)
     rows, columns = (np.minimum(np.arange(size - 2, dtype=np.float32), end - 1)
                      for size, end in zip(radiance.shape[1:], area, strict=True))
-    remodulate_rows(y0, y1, filtered, factor, rows, columns, radiance)
+    REMODULATE.rows(y0, y1, filtered, factor, rows, columns, radiance)
 
 
 FILTER_SHADED = kernel("filter_shaded", (*FILTER_MIXED.reads, "factor"), ("radiance",), filter_shaded_rows,
@@ -390,7 +196,7 @@ FILTER_SHADED = kernel("filter_shaded", (*FILTER_MIXED.reads, "factor"), ("radia
 """Those of the finest level and `REMODULATE` at once, on a GPU."""
 in_half(FILTER_SHADED, "heads")
 REMODULATE_BOTH = kernel("remodulate_both", ("filtered", "factor", "part_rows", "part_columns"), ("radiance",),
-                         remodulate_both_rows, ("radiance", 1), radiance=BOTH)
+                         None, ("radiance", 1), radiance=BOTH)
 LEVEL = kernel("alpha_level", ("next_samples", "part_rows", "part_columns", "seen_rows", "seen_columns"), ("level",),
                level_rows, ("level", 1), next_samples=QUARTERS, level=(1, "hp", "wp"))
 ENLARGE_ALPHA = kernel("enlarge_alpha", ("filtered", "fine", "part_rows", "part_columns", "params", "window", "near",

@@ -24,8 +24,8 @@ from .kinds import Library
 
 THREADS = 2  # a process: many run side by side
 DARKEST_SHARE = 0.02  # of the mean light: darker pixels do not make a picture brighter
-LEAST_HALF = 48  # samples a pixel of each half of a reference, at least
-HALF_ERROR = 0.012  # of each half, as Cycles' adaptive sampling counts it, at a mean brightness of 0.2
+LEAST_HALF = 16  # samples a pixel of each half of a reference, at least
+HALF_ERROR = 0.02  # of each half, as Cycles' adaptive sampling counts it, at a mean brightness of 0.2
 PATTERNS = ("AUTOMATIC", "TABULATED_SOBOL", "BLUE_NOISE")
 
 

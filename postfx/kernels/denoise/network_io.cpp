@@ -1,0 +1,118 @@
+// Heads of the network in the layout of the other kernels: of floats, of integer sums, of codes.
+#include "fine_codes.h"
+
+typedef View<const int, 4> Products;
+typedef View<float, 4> Heads;
+
+// Of the fine head, each channel has its four phases of 2x2 pixels one after the other.
+
+static void open_phased_rows(Long first, Long last, View<const float, 4> phased, Heads fine) {
+    for (Long channel = 0; channel < FINE; channel++) {
+        for (Long y = first; y < last; y++) {
+            const Long phase = 4 * channel + 2 * (y % 2);
+            const float *left = phased(0, phase, y / 2), *right = phased(0, phase + 1, y / 2);
+            float* out = fine(0, channel, y);
+            with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
+                across(0, phased.size[3], PIXELS(auto one, Long x) {
+                    typedef decltype(one) F;
+                    store_pairs<F>(out + 2 * x, opened<F, meaning.is>(load<F>(left + x)),
+                                   opened<F, meaning.is>(load<F>(right + x)));
+                });
+            });
+        }
+    }
+}
+EXPORT(denoise_open_phased, open_phased_rows)
+
+static void open_channels(Long first, Long last, const Products& products, const Scaling& scaling,
+                          Long begin, const Heads& fine) {
+    for (Long k = 0; k < fine.size[1]; k++) {
+        for (Long y = first; y < last; y++) {
+            const Long channel = begin + k, phase = 2 * (y % 2);
+            const Scale even = scale_of(scaling, 4 * channel + phase);
+            const Scale odd = scale_of(scaling, 4 * channel + phase + 1);
+            const int* left = products(0, 4 * k + phase, y / 2);
+            const int* right = products(0, 4 * k + phase + 1, y / 2);
+            float* out = fine(0, k, y);
+            with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
+                across(0, products.size[3], PIXELS(auto one, Long x) {
+                    typedef decltype(one) F;
+                    const F a = logit_of<F>(load_int<F>(left + x), even);
+                    const F b = logit_of<F>(load_int<F>(right + x), odd);
+                    store_pairs<F>(out + 2 * x, opened<F, meaning.is>(a), opened<F, meaning.is>(b));
+                });
+            });
+        }
+    }
+}
+
+static void open_fine_products_rows(Long first, Long last, Products products, Scaling scaling,
+                                    Heads fine) {
+    open_channels(first, last, products, scaling, 0, fine);
+}
+EXPORT(denoise_open_fine_products, open_fine_products_rows)
+
+static void open_some_products_rows(Long first, Long last, Products products, Scaling scaling,
+                                    View<const float, 1> begin, Heads fine) {
+    open_channels(first, last, products, scaling, Long(begin.at[0]), fine);
+}
+EXPORT(denoise_open_some_products, open_some_products_rows)
+
+// Weights of a level's filters and its mix, which the coarsest level lacks.
+
+static void open_products_rows(Long first, Long last, Products products, Scaling scaling,
+                               Heads heads) {
+    for (Long channel = 0; channel < heads.size[1]; channel++) {
+        for (Long y = first; y < last; y++) {
+            const Scale scale = scale_of(scaling, channel);
+            const int* sums = products(0, channel, y);
+            float* out = heads(0, channel, y);
+            with_meaning(level_meaning(channel), PIXELS(auto meaning) {
+                across(0, heads.size[3], PIXELS(auto one, Long x) {
+                    typedef decltype(one) F;
+                    const F logit = logit_of<F>(load_int<F>(sums + x), scale);
+                    store<F>(out + x, opened<F, meaning.is>(logit));
+                });
+            });
+        }
+    }
+}
+EXPORT(denoise_open_products, open_products_rows)
+
+static Status open_codes_rows(Long first, Long last, Codes codes, Factors factors, Scaling scaling,
+                              Heads heads) {
+    const Long w = heads.size[3], channels = heads.size[1];
+    const Room<int> turned(room_for(codes));
+    if (!turned) return NO_MEMORY;
+    for (Long y = first; y < last; y++) {
+        multiply_row(codes(0, y), w, codes.size[3], factors.at, 0, (channels + 3) / 4, turned.at,
+                     PIXELS(Long k, Long x, const WideInt(&sums)[4]) {
+            UNROLL for (int j = 0; j < 4; j++) {
+                const Long channel = 4 * k + j;
+                if (channel >= channels) continue;
+                with_meaning(level_meaning(channel), PIXELS(auto meaning) {
+                    const Wide logit = logit_of<Wide>(sums[j], scale_of(scaling, channel));
+                    const Wide found = opened<Wide, meaning.is>(logit);
+                    float* out = heads(0, channel, y) + x;
+                    if (x + WIDE <= w) store<Wide>(out, found);
+                    else for (int i = 0; i < w - x; i++) out[i] = found[i];
+                });
+            }
+        });
+    }
+    return DONE;
+}
+EXPORT(denoise_open_codes, open_codes_rows)
+
+// The last channels of the fine head, or all of them.
+static Status open_fine_codes_rows(Long first, Long last, Codes codes, Factors factors,
+                                   Scaling scaling, View<float, 5> fine) {
+    const Long begin = FINE - fine.size[1], step = fine.size[2] * fine.size[3] * fine.size[4];
+    const Room<int> turned(room_for(codes));
+    if (!turned) return NO_MEMORY;
+    for (Long y = first; y < last; y++) {
+        open_fine_row(codes, y, factors, scaling, begin, FINE, turned.at, fine(0, 0, y), step);
+    }
+    return DONE;
+}
+EXPORT(denoise_open_fine_codes, open_fine_codes_rows)

@@ -1,0 +1,189 @@
+// Rows of the pyramid. Levels hold one plane, a picture of three, or several pictures: the weights
+// of a row are read once for each of them.
+#include "fine_codes.h"
+#include "pyramid.h"
+
+typedef View<const float, 1> Places;
+typedef View<const float, 3> Planes;
+typedef View<float, 3> NewPlanes;
+
+// Pooling: cells begin at given rows and columns of the finer level; pixels beyond it have no weight.
+
+template <class F, bool EDGE>
+FN F finer_pixel(const Planes& planes, Long k, Long y, Long x) {
+    if (EDGE && (y < 0 || y >= planes.size[1] || x < 0 || x >= planes.size[2])) return F(0.0f);
+    return pick<F, 2>(planes(k, y) + x);
+}
+
+template <class F, bool EDGE>
+FN void pool_cell(const Planes& finer, const Planes& weights, Long v, Long u, NewPlanes& level,
+                  NewPlanes& importance, Long y, Long x) {
+    const Cell<F> cell = cell_of<F>(
+        finer_pixel<F, EDGE>(weights, 0, v, u), finer_pixel<F, EDGE>(weights, 0, v, u + 1),
+        finer_pixel<F, EDGE>(weights, 0, v + 1, u), finer_pixel<F, EDGE>(weights, 0, v + 1, u + 1));
+    for (Long k = 0; k < level.size[0]; k++) {
+        store<F>(level(k, y) + x,
+                 pooled<F>(cell, finer_pixel<F, EDGE>(finer, k, v, u),
+                           finer_pixel<F, EDGE>(finer, k, v, u + 1),
+                           finer_pixel<F, EDGE>(finer, k, v + 1, u),
+                           finer_pixel<F, EDGE>(finer, k, v + 1, u + 1)));
+    }
+    store<F>(importance(0, y) + x, cell.importance);
+}
+
+static void pool_rows(Long first, Long last, Planes finer, Planes finer_importance, Places finer_rows,
+                      Places finer_columns, NewPlanes level, NewPlanes importance) {
+    const Long h = finer.size[1], w = finer.size[2], width = level.size[2];
+    const Long left = Long(finer_columns.at[0]);
+    const Long begin = left < 0 ? 1 : 0;
+    const Long end = smaller<Long>(width, (w - left) / 2);
+    for (Long y = first; y < last; y++) {
+        const Long row = Long(finer_rows.at[y]);
+        const bool whole = row >= 0 && row + 1 < h && begin < end;
+        const auto edge = [&](Long x) {
+            pool_cell<float, true>(finer, finer_importance, row, left + 2 * x, level, importance, y, x);
+        };
+        if (whole) {
+            across(begin, end, PIXELS(auto one, Long x) {
+                pool_cell<decltype(one), false>(finer, finer_importance, row, left + 2 * x, level,
+                                                importance, y, x);
+            });
+        }
+        for (Long x = 0; x < (whole ? begin : width); x++) edge(x);
+        for (Long x = end; whole && x < width; x++) edge(x);
+    }
+}
+EXPORT(denoise_pool, pool_rows)
+
+// All rows of a level; for each row and column, the row and column of the coarser level that it lies
+// in is given. Of the fine head, the last channels are enough.
+static void mix_rows(Long first, Long last, Planes coarse, Planes level, View<const float, 4> heads,
+                     Places coarse_rows, Places coarse_columns, NewPlanes mixed) {
+    const Long channels = heads.size[1], w = mixed.size[2];
+    const Long share = channels == KERNEL + 1 ? KERNEL : MIX - (FINE - channels);
+    const Long second = coarse_columns.size[0] > 1 && coarse_columns.at[1] > 0;
+    for (Long y = first; y < last; y++) {
+        const float* shares = heads(0, share, y);
+        for (Long k = 0; k < mixed.size[0]; k++) {
+            const float* below = coarse(k, Long(coarse_rows.at[y]));
+            const float* own = level(k, y);
+            float* out = mixed(k, y);
+            const auto pixels = PIXELS(auto one, Long x) {
+                typedef decltype(one) F;
+                store<F>(out + x, mixed_pixel<F>(each_twice<F>(below + (x + second) / 2),
+                                                 load<F>(own + x), load<F>(shares + x)));
+            };
+            const Long even = w > second ? w - (w - second) % WIDE : w;  // vectors begin with a cell
+            for (Long x = 0; x < second; x++) pixels(float(), x);
+            for (Long x = second; x < even; x += WIDE) pixels(Wide(), x);
+            for (Long x = even; x < w; x++) pixels(float(), x);
+        }
+    }
+}
+EXPORT(denoise_mix, mix_rows)
+
+// Filtering a row, whose weights may lie anywhere.
+
+template <int CHANNELS> FN void filter_row(const Filter& filter, Long y, float* out) {
+    const auto pixels = PIXELS(auto one, auto edge, Long x) {
+        typedef decltype(one) F;
+        F found[CHANNELS];
+        filter_pixel<F, edge.is>(filter, y, x, found);
+        for (int c = 0; c < CHANNELS; c++) store<F>(out + c * filter.plane + x, found[c]);
+    };
+    struct Inside { enum { is = false }; };
+    struct Edge { enum { is = true }; };
+    const Long left = smaller<Long>(REACH, filter.right);
+    const Long right = larger<Long>(left, filter.right - REACH);
+    const bool inside = y >= REACH && y < filter.bottom - REACH;
+    for (Long x = 0; x < left; x++) pixels(float(), Edge(), x);
+    across(left, right, PIXELS(auto one, Long x) {
+        if (inside) pixels(one, Inside(), x);
+        else pixels(one, Edge(), x);
+    });
+    for (Long x = right; x < filter.right; x++) pixels(float(), Edge(), x);
+}
+
+FN void filter_planes(const Planes& mixed, const float* weights, Long step, Long y,
+                      const View<const float, 1>& area, const NewPlanes& filtered) {
+    const Long plane = mixed.size[1] * mixed.size[2], w = mixed.size[2];
+    const Long bottom = Long(area.at[0]), right = y < bottom ? Long(area.at[1]) : 0;
+    const bool one = mixed.size[0] == 1;
+    for (Long k = 0; k < mixed.size[0]; k += 3) {
+        const Filter filter = {mixed(k), weights, plane, w, step, bottom, right};
+        if (right > 0 && one) filter_row<1>(filter, y, filtered(k, y));
+        if (right > 0 && !one) filter_row<3>(filter, y, filtered(k, y));
+        for (int c = 0; c < (one ? 1 : 3); c++) {
+            for (Long x = right; x < w; x++) filtered(k + c, y)[x] = 0;
+        }
+    }
+}
+
+static void filter_rows(Long first, Long last, Planes mixed, View<const float, 4> heads, Places area,
+                        NewPlanes filtered) {
+    const Long step = heads.size[2] * heads.size[3];
+    for (Long y = first; y < last; y++) {
+        filter_planes(mixed, heads(0, 0, y), step, y, area, filtered);
+    }
+}
+EXPORT(denoise_filter, filter_rows)
+
+// The same at the finest level, whose weights are made of codes, two rows at a time.
+static Status filter_codes_rows(Long first, Long last, Planes mixed, Codes codes, Factors factors,
+                                Scaling scaling, Places area, NewPlanes filtered) {
+    const Long w = 2 * codes.size[2];
+    const Room<int> turned(room_for(codes));
+    const Room<float> weights(KERNEL * 2 * w);
+    if (!turned || !weights) return NO_MEMORY;
+    Long pair = -1;
+    for (Long y = first; y < last; y++) {
+        if (pair != y / 2) {
+            pair = y / 2;
+            open_fine_row(codes, pair, factors, scaling, 0, KERNEL, turned.at, weights.at, 2 * w);
+        }
+        filter_planes(mixed, weights.at + y % 2 * w, 2 * w, y, area, filtered);
+    }
+    return DONE;
+}
+EXPORT(denoise_filter_codes, filter_codes_rows)
+
+// Filtered colour times reflectance: a border of repeated pixels lies around it, and rows and columns
+// of the part that lie beyond the frame repeat its last ones.
+
+static void remodulate_planes(Long first, Long last, const Planes& filtered,
+                              const View<const float, 3>& factor, const Places& part_rows,
+                              const Places& part_columns, const NewPlanes& radiance, Long plane,
+                              bool with_factor) {
+    const Long h = part_rows.size[0], w = part_columns.size[0];
+    const Long top = Long(part_rows.at[0]);
+    const Long held = Long(part_columns.at[w - 1]) - Long(part_columns.at[0]) + 1;
+    for (Long row = first; row < last; row++) {
+        const Long y = Long(part_rows.at[clip(row - 1, h)]) - top;
+        const float* by = factor(y);
+        for (int c = 0; c < 3; c++) {
+            const float* from = filtered(c, y);
+            float* out = radiance(plane + c, row) + 1;
+            across(0, held, PIXELS(auto one, Long x) {
+                typedef decltype(one) F;
+                const F light = load<F>(from + x);
+                store<F>(out + x, with_factor ? light * pick<F, 3>(by + 3 * x + c) : light);
+            });
+            for (Long x = held; x <= w; x++) out[x] = out[held - 1];
+            out[-1] = out[0];
+        }
+    }
+}
+
+static void remodulate_rows(Long first, Long last, Planes filtered, View<const float, 3> factor,
+                            Places part_rows, Places part_columns, NewPlanes radiance) {
+    remodulate_planes(first, last, filtered, factor, part_rows, part_columns, radiance, 0, true);
+}
+EXPORT(denoise_remodulate, remodulate_rows)
+
+// Filtered colour, then the same times reflectance.
+static void remodulate_both_rows(Long first, Long last, Planes filtered, View<const float, 3> factor,
+                                 Places part_rows, Places part_columns, NewPlanes both) {
+    remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 0, false);
+    remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 3, true);
+}
+EXPORT(denoise_remodulate_both, remodulate_both_rows)

@@ -1,0 +1,124 @@
+"""Kernels in C++: the library that holds them, and their rows as Python calls them.
+
+A wheel brings a library for every level of the processor. A checkout compiles its own when a kernel is first used,
+in a few seconds, and again when a source has changed (`build.py`). A plug-in's kernels are compiled likewise from the
+header that it brings, into the user's cache.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Iterable, Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from postfx.errors import BindingError, DeviceError
+from postfx.kernels import build
+from postfx.kernels.native import BoundRows, Form, Kinds, kinds_of
+from postfx.system import private_folder
+
+FOLDER = "native"
+"""In the user's cache: libraries of plug-ins, and ours where the package cannot be written to."""
+
+
+class Rows:
+    """Rows of a kernel in C++: `rows(first, last, *arrays)`.
+
+    Args:
+        name: that the kernel is exported by.
+        header: the file that holds a plug-in's kernel; None for ours.
+        level: of the processor; None for the best that this one has.
+    """
+
+    def __init__(self, name: str, header: Path | None = None, level: str | None = None) -> None:
+        self.name, self.header, self.level = name, header, level
+
+    def __call__(self, first: int, last: int, *arrays: np.ndarray) -> None:
+        self.form(kinds_of(arrays))(first, last, *arrays)
+
+    def bind(self, arrays: Sequence[np.ndarray]) -> BoundRows:
+        """The same with all arrays given, for threads."""
+        return self.form(kinds_of(arrays)).bind(arrays)
+
+    def form(self, kinds: Kinds) -> Form:
+        """How the kernel is called with arrays of these kinds. Raises BindingError if it takes others."""
+        return _form(self.name, self.header, self.level, kinds)
+
+    def prepare(self, kinds: Kinds) -> None:
+        """Have the kernel ready before the first frame."""
+        self.form(kinds)
+
+
+@cache
+def _form(name: str, header: Path | None, level: str | None, kinds: Kinds) -> Form:
+    library = open_library(header, level)
+    try:
+        takes = getattr(library, f"{name}_takes")
+    except AttributeError:
+        where = header or "postfx/kernels"
+        raise BindingError(f"{where} exports no kernel '{name}': write EXPORT({name}, rows) there") from None
+    takes.restype = ctypes.c_char_p
+    wanted, given = list(_split(takes().decode())), [_written(kind) for kind in kinds]
+    fits = len(wanted) == len(given) and all(one in (other, f"{other[:-1]}r") for one, other in
+                                             zip(wanted, given, strict=True))
+    if not fits:
+        raise BindingError(f"kernel '{name}' takes arrays {' '.join(wanted)} (type:axes, r if it only reads them), "
+                           f"not {' '.join(given)}")
+    return Form(name, getattr(library, name), ("q", "q", *kinds), "")
+
+
+def _split(text: str) -> Iterable[str]:
+    return (text[at:at + 5] for at in range(0, len(text), 5))
+
+
+def _written(kind: str | None) -> str:
+    """A kind of `native` as the library writes it: '<f4:2r' is f4:2r, '|u1:1' is u1:1w."""
+    if kind is None or ":" not in kind:
+        return "with-gaps"
+    return f"{kind.lstrip('<|=')}" if kind.endswith("r") else f"{kind.lstrip('<|=')}w"
+
+
+@cache
+def open_library(header: Path | None = None, level: str | None = None) -> ctypes.CDLL:
+    """The library of this processor's level, or of another one.
+
+    Raises DeviceError where there is none and none can be made.
+    """
+    try:
+        paths = _find_or_build([header] if header else build.our_units(), own=header is None)
+    except (build.CannotBuild, OSError) as error:
+        raise DeviceError(str(error)) from None
+    return ctypes.CDLL(str(paths[level or levels()[-1]]))
+
+
+@cache
+def levels() -> tuple[str, ...]:
+    """The levels that this processor has, the lowest first."""
+    known = tuple(build.TARGETS[build.this_target()].levels)
+    return known[:open_library(level=known[0]).best_level() + 1]
+
+
+def _find_or_build(units: list[Path], own: bool) -> dict[str, Path]:
+    target = build.this_target()
+    digest = build.digest_of(units, target)
+    cache_folder = private_folder(FOLDER)
+    folders = [build.PACKAGED / target] * own + ([cache_folder] if cache_folder else [])
+    for folder in folders:
+        found = build.find(folder, digest)
+        if found is not None:
+            return found
+    writable = [folder for folder in folders if _can_write(folder)]
+    if not writable:
+        raise build.CannotBuild("compiled kernels can be kept nowhere: set XDG_CACHE_HOME to a folder of your own")
+    return build.build(units, target, writable[0])
+
+
+def _can_write(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)

@@ -1,0 +1,198 @@
+// Numbers that pixel functions are written in: F is one float, or a vector of floats, as many as
+// the processor takes at once. + - * / < and a ? b : c mean the same for both.
+//
+// Bits. a + b * c in one expression is one instruction wherever a processor has it, and sums are
+// never put into another order: so AVX2, AVX-512, arm64 and Windows give the same bits.
+//
+// NaN and infinity. A comparison with NaN is false, and larger() and smaller() then give their
+// second argument. What may be NaN comes first: larger(x, limit) holds it within bounds. Everything
+// else carries NaN and infinity on, into the pixels that are made of them and into no others.
+#pragma once
+
+typedef long long Long;
+typedef unsigned char byte;
+typedef signed char sbyte;
+
+#define FN static inline __attribute__((always_inline))
+#define UNROLL _Pragma("clang loop unroll(full)")
+
+#if defined(__AVX512F__)
+constexpr int WIDE = 16;
+#elif defined(__AVX2__)
+constexpr int WIDE = 8;
+#else
+constexpr int WIDE = 4;
+#endif
+typedef float Wide __attribute__((ext_vector_type(WIDE)));
+typedef int WideInt __attribute__((ext_vector_type(WIDE)));
+
+template <class F> struct Of;
+template <> struct Of<float> {
+    typedef int Int;
+    enum { COUNT = 1 };
+};
+template <> struct Of<Wide> {
+    typedef WideInt Int;
+    enum { COUNT = WIDE };
+};
+
+// Bits and whole numbers.
+
+FN int bits(float x) { return __builtin_bit_cast(int, x); }
+FN float from_bits(int x) { return __builtin_bit_cast(float, x); }
+FN int whole(float x) { return int(x); }
+FN float number(int x) { return float(x); }
+FN float floor_of(float x) { return __builtin_floorf(x); }
+
+FN WideInt bits(Wide x) { return __builtin_bit_cast(WideInt, x); }
+FN Wide from_bits(WideInt x) { return __builtin_bit_cast(Wide, x); }
+FN WideInt whole(Wide x) { return __builtin_convertvector(x, WideInt); }
+FN Wide number(WideInt x) { return __builtin_convertvector(x, Wide); }
+FN Wide floor_of(Wide x) { return __builtin_elementwise_floor(x); }
+
+// Memory: numbers beside one another, every STEP-th of them, and each of them twice.
+
+template <class F> FN F load(const float* at) {
+    F x;
+    __builtin_memcpy(&x, at, sizeof x);
+    return x;
+}
+template <class F> FN void store(float* at, F x) { __builtin_memcpy(at, &x, sizeof x); }
+
+// Places in a vector, which a compiler that knows them turns into few instructions.
+template <class T, T... PLACE> struct List {};
+typedef __make_integer_seq<List, int, WIDE> Lanes;
+#define TWO_OF(a, b, ...) __builtin_shufflevector(a, b, (__VA_ARGS__)...)
+
+template <int STEP, int... I> FN Wide pick_wide(const float* at, List<int, I...>) {
+    constexpr int LAST = STEP * (WIDE - 1) + 1 - WIDE;  // nothing is read behind the last number
+    if constexpr (STEP == 2) {
+        const Wide a = load<Wide>(at), b = load<Wide>(at + LAST);
+        return TWO_OF(a, b, 2 * I < WIDE ? 2 * I : 2 * I - LAST + WIDE);
+    } else if constexpr (STEP == 3) {
+        const Wide a = load<Wide>(at), b = load<Wide>(at + WIDE), c = load<Wide>(at + LAST);
+        const Wide ab = TWO_OF(a, b, 3 * I < 2 * WIDE ? 3 * I : 0);
+        return TWO_OF(ab, c, 3 * I < 2 * WIDE ? I : 3 * I - LAST + WIDE);
+    } else {
+        static_assert(STEP == 4);
+        const Wide a = load<Wide>(at), b = load<Wide>(at + WIDE);
+        const Wide c = load<Wide>(at + 2 * WIDE), d = load<Wide>(at + LAST);
+        const Wide ab = TWO_OF(a, b, 4 * I < 2 * WIDE ? 4 * I : 0);
+        const Wide cd = TWO_OF(c, d, 4 * I < 2 * WIDE ? 0
+                               : 4 * I < 3 * WIDE ? 4 * I - 2 * WIDE : 4 * I - LAST + WIDE);
+        return TWO_OF(ab, cd, I < WIDE / 2 ? I : I + WIDE);
+    }
+}
+template <class F, int STEP> FN F pick(const float* at) {
+    if constexpr (Of<F>::COUNT == 1) {
+        return *at;
+    } else {
+        return pick_wide<STEP>(at, Lanes());
+    }
+}
+template <int STEP, class F> FN void spread(float* at, F x) {
+    if constexpr (Of<F>::COUNT == 1) {
+        *at = x;
+    } else {
+        for (int i = 0; i < Of<F>::COUNT; i++) at[STEP * i] = x[i];
+    }
+}
+
+typedef float Half __attribute__((ext_vector_type(WIDE / 2)));
+template <int... I> FN Wide twice_wide(Half x, List<int, I...>) { return TWO_OF(x, x, I / 2); }
+template <class F> FN F each_twice(const float* at) {
+    if constexpr (Of<F>::COUNT == 1) {
+        return *at;
+    } else {
+        return twice_wide(load<Half>(at), Lanes());
+    }
+}
+
+// Two rows as one of pairs.
+template <int... I> FN void store_wide_pairs(float* at, Wide even, Wide odd, List<int, I...>) {
+    store<Wide>(at, TWO_OF(even, odd, I / 2 + I % 2 * WIDE));
+    store<Wide>(at + WIDE, TWO_OF(even, odd, WIDE / 2 + I / 2 + I % 2 * WIDE));
+}
+template <class F> FN void store_pairs(float* at, F even, F odd) {
+    if constexpr (Of<F>::COUNT == 1) {
+        at[0] = even;
+        at[1] = odd;
+    } else {
+        store_wide_pairs(at, even, odd, Lanes());
+    }
+}
+
+// first, first + step, first + 2 step ...
+template <class F> FN F ramp(float first, float step) {
+    if constexpr (Of<F>::COUNT == 1) {
+        return first;
+    } else {
+        F x;
+        for (int i = 0; i < Of<F>::COUNT; i++) x[i] = first + step * i;
+        return x;
+    }
+}
+
+template <class F> FN F larger(F x, F other) { return x > other ? x : other; }
+template <class F> FN F smaller(F x, F other) { return x < other ? x : other; }
+template <class F> FN F within(F x, float low, float high) {
+    return smaller<F>(larger<F>(x, F(low)), F(high));
+}
+FN int clip(Long x, Long size) { return int(x < 0 ? 0 : x >= size ? size - 1 : x); }
+
+template <class F> FN typename Of<F>::Int load_int(const int* at) {
+    typename Of<F>::Int x;
+    __builtin_memcpy(&x, at, sizeof x);
+    return x;
+}
+
+// Functions: polynomials of Cephes (Moshier).
+
+// log(x) of a normal x > 0, absolute error below 3e-7.
+template <class F> FN F log_of(F x) {
+    typedef typename Of<F>::Int I;
+    const I all = bits(x);
+    const I exponent = (all - 0x3F3504F3) >> 23;
+    const F m = from_bits(all - (exponent << 23)) - 1.0f;
+    F p = m * 7.0376836292e-2f - 1.1514610310e-1f;
+    p = p * m + 1.1676998740e-1f;
+    p = p * m - 1.2420140846e-1f;
+    p = p * m + 1.4249322787e-1f;
+    p = p * m - 1.6668057665e-1f;
+    p = p * m + 2.0000714765e-1f;
+    p = p * m - 2.4999993993e-1f;
+    p = p * m + 3.3333331174e-1f;
+    return p * m * m * m - 0.5f * m * m + m + number(exponent) * 0.6931471805599453f;
+}
+
+// log(1 + x) for x >= 0, relative error below 3e-6: a series below 0.03, where 1 + x would round.
+template <class F> FN F log1p_of(F x) {
+    const F third = 1 / 3.0f - x * (0.25f - x * 0.2f);
+    const F series = x * (1.0f - x * (0.5f - x * third));
+    return x < 0.03f ? series : log_of<F>(1.0f + x);
+}
+
+// exp(x) = (1 + more) power, for -80 <= x <= 80.
+template <class F> struct Exponential {
+    F more, power;
+};
+template <class F> FN Exponential<F> exp_parts(F x) {
+    const F n = floor_of(x * 1.4426950408889634f + 0.5f);
+    const F r = (x - n * 0.693359375f) + n * 2.12194440e-4f;
+    F p = r * 1.9875691500e-4f + 1.3981999507e-3f;
+    p = p * r + 8.3334519073e-3f;
+    p = p * r + 4.1665795894e-2f;
+    p = p * r + 1.6666665459e-1f;
+    p = p * r + 5.0000001201e-1f;
+    return {p * r * r + r, from_bits((whole(n) + 127) << 23)};
+}
+
+// Relative errors below 2e-7; exp(x) - 1 for x >= 0.
+template <class F> FN F exp_of(F x) {
+    const Exponential<F> e = exp_parts<F>(x);
+    return (e.more + 1.0f) * e.power;
+}
+template <class F> FN F expm1_of(F x) {
+    const Exponential<F> e = exp_parts<F>(x);
+    return e.more * e.power + (e.power - 1.0f);
+}

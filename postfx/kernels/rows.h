@@ -1,0 +1,129 @@
+// How Python calls rows: `int name(const Word* words, void*)`. Words are the first row and the one
+// after the last, and of each array its address and its lengths.
+//
+//     static void half_rows(Long first, Long last, View<const float, 2> image, View<float, 2> out);
+//     EXPORT(half, half_rows)
+//
+// Rows that need memory of their own return a Status. The library also tells what a name takes, so
+// that Python compares its table with it.
+#pragma once
+#include "number.h"
+
+typedef long long Word;
+enum Status { DONE, NO_MEMORY };
+#if defined(_WIN32)
+#define EXPORTED extern "C" __declspec(dllexport)
+#else
+#define EXPORTED extern "C" __attribute__((visibility("default")))
+#endif
+
+// An array without gaps: view(i, j) is where the row j of its plane i begins.
+template <class T, int AXES> struct View {
+    T* at;
+    Long size[AXES];
+
+    template <class... I> __attribute__((always_inline)) T* operator()(I... index) const {
+        Long place = 0;
+        int axis = 0;
+        ((place = place * size[axis++] + index), ...);
+        for (; axis < AXES; axis++) place *= size[axis];
+        return at + place;
+    }
+};
+
+// A small array of numbers that have names.
+template <class T> struct Given {
+    const T* at;
+    const T* operator->() const { return at; }
+    const T& operator*() const { return *at; }
+};
+
+// Memory of one call; it is false where there was none.
+extern "C" void* malloc(__SIZE_TYPE__);
+extern "C" void free(void*);
+template <class T> struct Room {
+    T* at;
+    explicit Room(Long count) : at((T*)malloc(sizeof(T) * (count > 0 ? count : 1))) {}
+    ~Room() { free(at); }
+    Room(const Room&) = delete;
+    explicit operator bool() const { return at != nullptr; }
+};
+
+// Calls.
+
+template <class T> struct Taken;
+template <class T, int AXES> struct Taken<View<T, AXES>> {
+    static View<T, AXES> from(const Word*& words) {
+        View<T, AXES> view;
+        view.at = (T*)*words++;
+        for (int axis = 0; axis < AXES; axis++) view.size[axis] = *words++;
+        return view;
+    }
+};
+template <class T> struct Taken<Given<T>> {
+    static Given<T> from(const Word*& words) {
+        words += 2;
+        return {(const T*)words[-2]};
+    }
+};
+
+template <class... A> struct Call {
+    int status;
+    Call(void (*rows)(Long, Long, A...), Long first, Long last, A... arrays) : status(DONE) {
+        rows(first, last, arrays...);
+    }
+    Call(Status (*rows)(Long, Long, A...), Long first, Long last, A... arrays)
+        : status(rows(first, last, arrays...)) {}
+};
+template <class R, class... A> int call(R (*rows)(Long, Long, A...), const Word* words) {
+    const Word* rest = words + 2;
+    return Call<A...>{rows, words[0], words[1], Taken<A>::from(rest)...}.status;  // in this order
+}
+
+// Kinds of arguments in five letters each: type, axes, and whether they are only read.
+
+template <class T> constexpr const char* type_name();
+template <> constexpr const char* type_name<float>() { return "f4"; }
+template <> constexpr const char* type_name<int>() { return "i4"; }
+template <> constexpr const char* type_name<byte>() { return "u1"; }
+template <> constexpr const char* type_name<sbyte>() { return "i1"; }
+
+template <class A> struct Kind;
+template <class T, int AXES> struct Kind<View<T, AXES>> {
+    static constexpr char text[] = {type_name<T>()[0], type_name<T>()[1], ':', '0' + AXES, 'w', 0};
+};
+template <class T, int AXES> struct Kind<View<const T, AXES>> {
+    static constexpr char text[] = {type_name<T>()[0], type_name<T>()[1], ':', '0' + AXES, 'r', 0};
+};
+template <class T> struct Kind<Given<T>> { static constexpr char text[] = "f4:1r"; };
+
+template <class... A> struct Kinds {
+    char text[5 * sizeof...(A) + 1] = {};
+    constexpr Kinds() {
+        int place = 0;
+        (add(Kind<A>::text, place), ...);
+    }
+    constexpr void add(const char* kind, int& place) {
+        for (int i = 0; i < 5; i++) text[place++] = kind[i];
+    }
+};
+template <class R, class... A> const char* kinds_of(R (*)(Long, Long, A...)) {
+    static constexpr Kinds<A...> kinds;
+    return kinds.text;
+}
+
+#define EXPORT(name, rows)                                                      \
+    EXPORTED int name(const Word* words, void*) { return call(rows, words); } \
+    EXPORTED const char* name##_takes() { return kinds_of(rows); }
+
+// Work on pixels `first` to `last` - 1 of a row: pixels(F(), x) makes those from x on, as many as F
+// has numbers. Some may be made twice, so they must not be read from where they are written.
+#define PIXELS(...) [&](__VA_ARGS__) __attribute__((always_inline))
+template <class Pixels> FN void across(Long first, Long last, const Pixels& pixels) {
+    if (last - first < WIDE) {
+        for (Long x = first; x < last; x++) pixels(float(), x);
+        return;
+    }
+    for (Long x = first; x < last - WIDE; x += WIDE) pixels(Wide(), x);
+    pixels(Wide(), last - WIDE);
+}

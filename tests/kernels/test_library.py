@@ -1,0 +1,212 @@
+"""Kernels in C++: the same bits at every level of a processor, NaN and infinity in every form, and the library itself:
+found, compiled once, compiled again where it is damaged, and one clear line where it cannot be had."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postfx.errors import BindingError, DeviceError
+from postfx.kernels import Kernel, build, constants_of, find_source, library
+from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE
+from postfx.kernels.library import Rows
+from postfx.runtime import ArgumentTable, Device
+from tests.conftest import REPOSITORY
+from tests.kernels import denoise_cases, host_cuda
+from tests.kernels.denoise_cases import CASES, ODD, arguments, run, shape
+
+IN_CPP = [kernel for kernel in denoise_cases.KERNELS if isinstance(kernel.rows, Rows)]
+FUSED = [level for level in library.levels() if level != "baseline"] or ["baseline"]
+"""Levels that multiply and add in one instruction."""
+needs_compiler = pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="needs ziglang")
+HEADER = """
+#include "rows.h"
+
+static void scale_rows(Long first, Long last, View<const float, 2> image, Given<float> by, View<float, 2> scaled) {
+    for (Long y = first; y < last; y++) {
+        across(0, image.size[1], PIXELS(auto one, Long x) {
+            typedef decltype(one) F;
+            store<F>(scaled(y) + x, load<F>(image(y) + x) * *by);
+        });
+    }
+}
+EXPORT(scale, scale_rows)
+"""
+
+
+def at_level(kernel: Kernel, level: str, inputs: dict[str, np.ndarray], case: denoise_cases.Case) -> list[np.ndarray]:
+    """What a kernel writes, given all rows at once."""
+    found = {name: np.zeros(shape(kernel, name, case), kernel.types.get(name, "float32")) for name in kernel.writes}
+    name, axis = kernel.row_axis
+    Rows(kernel.rows.name, level=level)(0, found[name].shape[axis], *inputs.values(), *found.values())
+    return list(found.values())
+
+
+@pytest.mark.parametrize("kernel", IN_CPP, ids=lambda kernel: kernel.name)
+def test_every_level_gives_the_same_bits(kernel: Kernel) -> None:
+    for case, bad in denoise_cases.runs_of(kernel):
+        inputs = arguments(kernel, case, bad=bad)
+        wanted = at_level(kernel, FUSED[0], inputs, case)
+        for level in FUSED[1:]:
+            for one, other in zip(at_level(kernel, level, inputs, case), wanted, strict=True):
+                np.testing.assert_array_equal(one, other, f"{case} {level}")
+        for one, other in zip(at_level(kernel, "baseline", inputs, case), wanted, strict=True):
+            scale = np.abs(other[np.isfinite(other)]).max(initial=1)
+            np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5 * scale, err_msg=str(case))
+
+
+def forms(kernel: Kernel, inputs: dict[str, np.ndarray], case: denoise_cases.Case) -> dict[str, dict[str, np.ndarray]]:
+    """What every form of a kernel makes of the same arguments."""
+    found = {level: dict(zip(kernel.writes, at_level(kernel, level, inputs, case), strict=True))
+             for level in library.levels()}
+    found["portable"] = run(kernel, Device("cpu", 1, compiled_kernels=False), inputs, case)
+    if host_cuda.COMPILER and find_source(kernel):
+        found["cuda"] = {name: np.zeros(shape(kernel, name, case), np.float32) for name in kernel.writes}
+        host_cuda.run(kernel, inputs | found["cuda"])
+    return found
+
+
+@pytest.mark.parametrize(("kernel", "binding", "channel"), [
+    (FILTER, "mixed", 1), (FILTER, "heads", 7), (MIX_LEVELS, "coarse", 0), (MIX_LEVELS, "level", 2), (POOL, "finer", 0),
+    (REMODULATE, "filtered", 1)], ids=lambda value: getattr(value, "name", str(value)))
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(
+        kernel: Kernel, binding: str, channel: int, value: float) -> None:
+    """In every form: at the same places, while all other pixels keep their bits."""
+    case = CASES[0]
+    inputs = arguments(kernel, case)
+    clean = forms(kernel, inputs, case)
+    broken = {name: array.copy() for name, array in inputs.items()}
+    plane = broken[binding].reshape(-1, *broken[binding].shape[-2:])[channel]
+    plane[20, 17], plane[5, 6] = value, value
+    found = forms(kernel, broken, case)
+    for name in kernel.writes:
+        places = ~np.isfinite(found["portable"][name])
+        assert (0 if name == "importance" else 1) <= places.sum() < 100, name
+        for form, arrays in found.items():
+            np.testing.assert_array_equal(~np.isfinite(arrays[name]), places, f"{name} {form}")
+            np.testing.assert_array_equal(arrays[name][~places], clean[form][name][~places], f"{name} {form}")
+
+
+def test_constants_of_the_headers_are_those_of_python() -> None:
+    checked = 0
+    for header in sorted(build.HERE.rglob("*.h")):
+        text = header.read_text("utf-8")
+        beside = header.with_suffix(".py")
+        known = constants_of(beside if beside.exists() else build.HERE / "numeric.py", text)
+        for name, value in re.findall(r"^constexpr (?:float|int) ([A-Z][A-Z\d_]+) = (-?[\d.e+-]+)f?;", text, re.M):
+            if name in known:
+                assert np.float32(value) == np.float32(known[name]), f"{header}: {name}"
+                checked += 1
+    assert checked >= 8
+
+
+def test_the_compiler_is_pinned_where_it_is_asked_for() -> None:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))
+    wanted = f"ziglang=={build.ZIG}"
+    assert wanted in project["build-system"]["requires"]
+    assert wanted in project["project"]["optional-dependencies"]["test"]
+
+
+@pytest.fixture
+def plug_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A header of a plug-in, and an empty cache."""
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    monkeypatch.setattr(library, "private_folder", lambda name: folder)
+    header = tmp_path / "scale.h"
+    header.write_text(HEADER)
+    return header
+
+
+def scaled(header: Path) -> np.ndarray:
+    image, found = np.arange(60, dtype=np.float32).reshape(3, 20), np.zeros((3, 20), np.float32)
+    library._form.cache_clear()
+    library.open_library.cache_clear()
+    Rows("scale", header)(0, 3, image, np.float32([2]), found)
+    return found
+
+
+@needs_compiler
+def test_a_plug_in_brings_one_header(plug_in: Path) -> None:
+    kernel = Kernel("scale", ("image", "by"), ("scaled",), Rows("scale", plug_in), ("scaled", 0),
+                    {"image": ("h", "w"), "by": (1,), "scaled": ("h", "w")})
+    assert kernel.home == plug_in.parent
+    device = Device("cpu", threads=2)
+    image = np.random.default_rng(0).random((9, 33), np.float32)
+    bound = {"image": device.wrap("image", image), "by": device.wrap("by", np.float32([3])),
+             "scaled": device.heap.tensor("scaled", (9, 33))}
+    state = device.compute_state(kernel)
+    commands = device.command_buffer("any")
+    with commands.compute_encoder("any") as encoder:
+        encoder.dispatch(state, ArgumentTable(state, bound))
+    commands.commit()
+    commands.wait(timeout=60)
+    np.testing.assert_array_equal(bound["scaled"].array, 3 * image)
+
+
+@needs_compiler
+def test_it_is_compiled_again_when_it_changes_or_is_damaged(plug_in: Path) -> None:
+    folder = plug_in.parent / "cache"
+    assert scaled(plug_in)[1, 1] == 42
+    first = {path: path.stat().st_mtime_ns for path in folder.glob("*-*.*")}
+    scaled(plug_in)
+    assert {path: path.stat().st_mtime_ns for path in folder.glob("*-*.*")} == first
+    for damage in (lambda path: path.write_bytes(path.read_bytes()[:100]), Path.unlink):
+        for path in [*folder.glob("*-*.*")][:2]:
+            copy = path.read_bytes()
+            path.unlink()  # the process has it open
+            path.write_bytes(copy)
+            damage(path)
+        assert scaled(plug_in)[1, 1] == 42
+    for index in folder.glob("*.json"):
+        index.write_text("{")
+    assert scaled(plug_in)[1, 1] == 42
+    plug_in.write_text(HEADER.replace("* *by", "* *by + 1.0f"))
+    assert scaled(plug_in)[1, 1] == 43
+
+
+@needs_compiler
+def test_several_processes_at_once_compile_it_once(plug_in: Path) -> None:
+    code = ("import sys; from pathlib import Path; from postfx.kernels import build; "
+            "build.build([Path(sys.argv[1])], build.this_target(), Path(sys.argv[2]))")
+    folder = plug_in.parent / "cache"
+    many = [subprocess.Popen([sys.executable, "-c", code, plug_in, folder], cwd=REPOSITORY) for _ in range(3)]
+    assert [one.wait(timeout=120) for one in many] == [0, 0, 0]
+    assert len([*folder.glob("*.json")]) == 1
+    assert len([*folder.glob("*-*.*")]) == len(build.TARGETS[build.this_target()].levels)
+    assert scaled(plug_in)[1, 1] == 42
+
+
+def test_without_a_compiler_there_is_one_line_with_the_fix(plug_in: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(DeviceError, match=f"there is no compiler: pip install ziglang=={re.escape(build.ZIG)}$"):
+        scaled(plug_in)
+
+
+@needs_compiler
+def test_a_fault_in_a_header_is_one_line(plug_in: Path) -> None:
+    plug_in.write_text(HEADER.replace("* *by", "* nothing"))
+    with pytest.raises(DeviceError, match=r"scale.h:8:\d+: error: use of undeclared identifier 'nothing'"):
+        scaled(plug_in)
+
+
+def test_arrays_that_a_kernel_does_not_take_are_an_error() -> None:
+    inputs = [*arguments(FILTER, ODD).values()]
+    out = np.zeros_like(inputs[0])
+    with pytest.raises(BindingError, match="'denoise_filter' takes arrays f4:3r f4:4r f4:1r f4:3w .*, not f8:3w"):
+        FILTER.rows(0, 1, inputs[0].astype(float), *inputs[1:], out)
+    with pytest.raises(BindingError, match="with-gaps"):
+        FILTER.rows(0, 1, inputs[0][:, ::2], *inputs[1:], out)
+    out.flags.writeable = False
+    with pytest.raises(BindingError, match="not .* f4:3r$"):
+        FILTER.rows(0, 1, *inputs, out)
+    with pytest.raises(BindingError, match=r"exports no kernel 'nothing': write EXPORT\(nothing, rows\) there"):
+        Rows("nothing")(0, 1)
