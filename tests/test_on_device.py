@@ -12,10 +12,10 @@ import time
 import numpy as np
 import pytest
 
-from postfx import DenoiseUpscale, Device, Frame, Pipeline, PostfxError, Role
+from postfx import DenoiseUpscale, Device, Frame, MixPartner, Partner, Pipeline, PostfxError, Role
 from postfx.errors import FrameError
 from postfx.passes import Downloads, share_planes
-from postfx.runtime import BindingError, HazardError, memory
+from postfx.runtime import ArgumentTable, BindingError, HazardError, memory
 from postfx.runtime import device as device_module
 from postfx.runtime.device import ProviderMemory, cuda_fault
 from postfx.runtime.session import Placement
@@ -350,3 +350,33 @@ def test_tensors_of_pytorch_on_a_gpu():
         device.memory.synchronise()
         device.hazards.mark_written(held)
         assert np.array_equal(held.download(), late.cpu().numpy())
+
+
+def test_work_of_other_libraries_gets_copies_of_what_lies_on_a_device(far):
+    given, found = There(PLANES[Role.COLOUR]), {}
+
+    def double(colour, output):
+        found["colour"] = colour.copy()
+        output[...] = 2 * colour
+
+    state = far.host_state("double", ("colour",), ("output",), double)
+    output = far.heap.tensor("doubled", PLANES[Role.COLOUR].shape)
+    table = ArgumentTable(state, {"colour": far.wrap("colour", given), "output": output})
+    commands = far.command_buffer("work")
+    with commands.compute_encoder("double") as encoder:
+        encoder.dispatch(state, table)
+    commands.commit()
+    commands.wait(timeout=60)
+    assert np.array_equal(found["colour"], PLANES[Role.COLOUR])
+    assert np.array_equal(output.download(), 2 * PLANES[Role.COLOUR])
+
+
+def test_a_partner_that_runs_on_the_host_gives_the_same_on_a_device(far):
+    pytest.importorskip("pyoidn", reason="Open Image Denoise is not installed")
+    passes = [[Partner(), DenoiseUpscale(model="s", scale=2), MixPartner()] for _ in range(2)]
+    here, there = (Pipeline(some, device, exposure=0.0, cuts="none")
+                   for some, device in zip(passes, (Device("cpu", 2, compiled_kernels=False), far), strict=True))
+    for number, planes in enumerate(frames(), 1):
+        right = here(Frame(dict(planes), number))
+        found = there.on_device({role: There(plane) for role, plane in planes.items()}, 1.0, number=number)
+        np.testing.assert_allclose(found[Role.COLOUR].download(), right[Role.COLOUR], rtol=1e-3, atol=1e-3)

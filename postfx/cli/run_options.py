@@ -216,8 +216,8 @@ def _list_passes() -> str:
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
            help="preview: the fastest, --model s without a run-up, --preroll 0; final: the cleanest, --both-ways "
-           "--with auto; animation: as clean, and steady in brightness, --both-ways --exposure smooth. Options that "
-           "you give yourself win"),
+           "--with auto; animation: steady in brightness, --both-ways --exposure smooth. Options that you give "
+           "yourself win"),
     Option(flag="--scale", basic=True, metavar="S", type=float, either="size", sets="denoiser.scale",
            excludes=_FOR_DENOISER,
            help="output size over render size, 1 to 3; 2 makes frames twice as large (default: 1, or the guides' "

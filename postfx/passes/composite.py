@@ -137,12 +137,11 @@ class BothWays(Pass):
 
     def __init__(self, *, parts: Sequence[Part | str] = (), **unknown: Never) -> None:
         super().__init__(parts=parts, **unknown)
-        self._parts = PartShares(parts)
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         kept = tuple(plane for plane in spec.planes if plane[0] is not Role.LATER)
         return Reflection(reads=(Role.COLOUR, Role.LATER), writes=(Role.COLOUR,), output=replace(spec, planes=kept),
-                          parts=self._parts.read_of(spec))
+                          parts=PartShares(self.options["parts"]).read_of(spec))
 
     def skip(self, spec: FrameSpec) -> str | None:
         if spec.encoding != "scene-linear":
@@ -152,6 +151,7 @@ class BothWays(Pass):
     def compile(self, device: Device, spec: FrameSpec) -> None:
         output = device.heap.transient("colour of both directions", (spec.height, spec.width, 3))
         self._table = ArgumentTable(device.compute_state(OVER), {"output": output})
+        self._parts = PartShares(self.options["parts"])  # not in common with copies, which other views get
         self._parts.compile(device, spec)
         super().compile(device, spec)
 

@@ -274,7 +274,7 @@ def test_any_pass_of_the_frames_size_may_be_a_partner(scale: float, device: Devi
 
 def test_a_pass_that_changes_the_size_is_no_partner() -> None:
     with pytest.raises(FrameError, match="pass 'denoise_upscale' cannot be a partner: it does not make a picture"):
-        make_plan([Partner(of="denoise_upscale")], picture().spec)
+        make_plan([Partner(of="denoise_upscale,scale=2")], picture().spec)
 
 
 def test_words_that_name_no_pass_are_refused() -> None:
