@@ -11,7 +11,7 @@ THREE := build/npm/node_modules/three
 
 # Denoise, upscale and tone-map the sample sequence. Installs postfx without torch.
 demo: $(VENV)/installed
-	$(BIN)/postfx run samples/room/noisy.####.exr -o $(OUT)/clean.####.exr --overwrite
+	$(BIN)/postfx run samples/room/noisy.####.exr -o $(OUT)/clean.####.exr --scale 2 --overwrite
 	$(BIN)/postfx run $(OUT)/clean.####.exr -o $(OUT)/picture.####.png --no-denoise --overwrite
 	$(BIN)/python samples/before_after.py $(OUT)/before_after.png
 	@echo "Look at $(OUT): before_after.png, picture.*.png (tone-mapped), clean.*.exr (scene-linear); all twice as large."
@@ -48,7 +48,7 @@ page: $(VENV)/installed-docs
 # The extension for Blender 4.2 and later, to install by Preferences > Get Extensions > Install from Disk.
 blender:
 	@mkdir -p dist
-	cd hosts/blender_postfx && $(PYTHON) -m zipfile -c ../../dist/postfx-blender.zip blender_manifest.toml __init__.py
+	cd hosts/blender_postfx && $(PYTHON) -m zipfile -c ../../dist/postfx-blender.zip blender_manifest.toml __init__.py LICENSE
 	@echo dist/postfx-blender.zip
 
 # The tests of files and of the command line, as if on Windows: without what only POSIX has.

@@ -2,7 +2,7 @@
 
     import postfx
 
-    passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2)])
+    passes = postfx.Pipeline([postfx.DenoiseUpscale()])
     for frame in postfx.read_sequence("shot/noisy.####.exr"):
         postfx.write_frame(f"out/clean.{frame.number:04d}.exr", passes(frame))
 
@@ -12,10 +12,13 @@ on the way goes to the logger "postfx".
 Everything public is named here and loaded on first use.
 """
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from postfx.version import __version__
+
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by ONNX Runtime as it is loaded, here and in workers
 
 if TYPE_CHECKING:
     from postfx.errors import PostfxError
@@ -27,8 +30,11 @@ if TYPE_CHECKING:
     from postfx.passes.composite import BothWays, Overlay
     from postfx.passes.denoise import DenoiseUpscale
     from postfx.passes.denoise.options import RenderSize
+    from postfx.passes.oidn import Oidn
+    from postfx.passes.partner import MixPartner, Partner
     from postfx.passes.tonemap import ToneMap
     from postfx.pipeline import Pipeline
+    from postfx.presenter import Presenter
     from postfx.runtime import Device, Library
     from postfx.stills import denoise
     from postfx.system import models_dir
@@ -45,9 +51,13 @@ _HOMES = {
     "FrameSpec": "postfx.frame",
     "Interpolator": "postfx.interpolate",
     "Library": "postfx.runtime",
+    "MixPartner": "postfx.passes.partner",
+    "Oidn": "postfx.passes.oidn",
     "Overlay": "postfx.passes.composite",
+    "Partner": "postfx.passes.partner",
     "Pipeline": "postfx.pipeline",
     "PostfxError": "postfx.errors",
+    "Presenter": "postfx.presenter",
     "ROLES": "postfx.frame",
     "Role": "postfx.frame",
     "RenderSize": "postfx.passes.denoise.options",
@@ -71,9 +81,13 @@ __all__ = [
     "FrameSpec",
     "Interpolator",
     "Library",
+    "MixPartner",
+    "Oidn",
     "Overlay",
+    "Partner",
     "Pipeline",
     "PostfxError",
+    "Presenter",
     "ROLES",
     "RenderSize",
     "Role",

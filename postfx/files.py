@@ -19,7 +19,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import count
@@ -27,9 +27,11 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 from postfx.errors import ReadError, WriteError
+from postfx.system import Workers
 
 MAX_BYTES = 1 << 30
 """Largest file that `read_text` reads unless told otherwise."""
+_MOST_DOTS = 200
 PARTIAL = ".part"
 """Suffix of files that are being written; no frame pattern matches it."""
 PIECE = 1 << 22
@@ -40,7 +42,7 @@ _numbers = count()
 
 
 def read_text(path: Path, most: int = MAX_BYTES) -> str:
-    """Read a UTF-8 file of at most `most` bytes.
+    """Read a UTF-8 file of at most `most` bytes, without the byte order mark that Windows' editors put first.
 
     Raises OSError for a larger file and for anything that is not a regular file, such as a pipe or an endless device;
     ValueError when the content is not UTF-8.
@@ -49,13 +51,26 @@ def read_text(path: Path, most: int = MAX_BYTES) -> str:
         raise OSError(errno.EINVAL, "it is not a file", str(path))
     if path.stat().st_size > most:
         raise OSError(errno.EFBIG, f"it has more than {most} bytes", str(path))
-    return path.read_text(encoding="utf-8")
+    return path.read_text(encoding="utf-8-sig")
 
 
 def parse_json(text: str | bytes) -> Any:
     """Parse JSON; ValueError when it is malformed or nested too deeply."""
     try:
         return json.loads(text)
+    except RecursionError:
+        raise ValueError("its values are nested without end") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parse TOML; ValueError when it is malformed, nested too deeply, or has a line of too many dots, which takes
+    tomllib time by the square of their number."""
+    import tomllib  # most commands can do without
+
+    if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
+        raise ValueError(f"it has a line of more than {_MOST_DOTS} dots")
+    try:
+        return tomllib.loads(text)
     except RecursionError:
         raise ValueError("its values are nested without end") from None
 
@@ -76,7 +91,9 @@ def make_printable(text: str) -> str:
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file, as hexadecimal digits."""
+    """SHA-256 of a file, as hexadecimal digits. OSError for what is no file, such as a pipe."""
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is not a file", str(path))
     digest = hashlib.sha256()
     with path.open("rb") as file:
         while piece := file.read(PIECE):
@@ -136,7 +153,7 @@ def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
 
     durable: flush the file and its name to the disk first, so that they survive a power cut.
     """
-    temporary = path.with_name(f".{_shorten(path.name)}.{_host()}-{os.getpid()}-{next(_numbers)}{PARTIAL}")
+    temporary = _temporary(path)
     try:
         yield temporary
         if durable:
@@ -145,6 +162,33 @@ def atomic_file(path: Path, durable: bool = True) -> Iterator[Path]:
         if durable:
             with suppress(OSError):  # some file systems, and Windows, cannot sync a folder
                 _sync(path.parent, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def create_whole(path: Path, content: bytes) -> bool:
+    """Make a file that is not there yet, with its content from the first moment on; False where anything is there.
+
+    It is written aside and linked, which is atomic on NFS, too. Where a file system has no links, it is made by O_EXCL,
+    and may be seen empty.
+    """
+    temporary = _temporary(path)
+    try:
+        temporary.write_bytes(content)
+        try:
+            os.link(temporary, path)
+            return True
+        except FileExistsError:
+            return False
+        except OSError:
+            if temporary.stat().st_nlink > 1:  # NFS made the link, and lost the answer
+                return True
+        with path.open("xb") as file:
+            file.write(content)
+        return True
+    except FileExistsError:
+        return False
     finally:
         with suppress(OSError):
             temporary.unlink()
@@ -202,6 +246,10 @@ def _host() -> str:
     return re.sub(r"[^\w-]", "_", socket.gethostname())[:60]
 
 
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{_shorten(path.name)}.{_host()}-{os.getpid()}-{next(_numbers)}{PARTIAL}")
+
+
 def _shorten(name: str) -> str:
     return os.fsencode(name)[:_NAME_BYTES].decode("utf-8", "ignore")
 
@@ -238,7 +286,7 @@ def read_ahead(items: Iterable[Item], read: Callable[[Item], Content]) -> Iterat
 
     An error of `read` is raised when it is the item's turn, so that earlier items are not lost.
     """
-    with ThreadPoolExecutor(1, "postfx read") as reader:
+    with Workers(1, "postfx read") as reader:
         coming: tuple[Item, Future[Content]] | None = None
         for item in items:
             ready, coming = coming, (item, reader.submit(read, item))
@@ -249,16 +297,16 @@ def read_ahead(items: Iterable[Item], read: Callable[[Item], Content]) -> Iterat
 
 
 @cache
-def file_threads(count: int) -> ThreadPoolExecutor:
+def file_threads(count: int) -> Workers:
     """Threads that unpack and pack files. They stay, as starting them costs time."""
-    return ThreadPoolExecutor(count, "postfx zip")
+    return Workers(count, "postfx zip")
 
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=file_threads.cache_clear)  # a forked process has none of them
 
 
-def run_in_order(threads: ThreadPoolExecutor, tasks: Iterable[Callable[[], Result]], most: int) -> Iterator[Result]:
+def run_in_order(threads: Workers, tasks: Iterable[Callable[[], Result]], most: int) -> Iterator[Result]:
     """What tasks give, in their order; at most so many are begun before their turn."""
     begun: deque[Future[Result]] = deque()
     try:
@@ -280,7 +328,7 @@ class WriteBehind:
     """
 
     def __init__(self) -> None:
-        self._writer = ThreadPoolExecutor(1, "postfx write")
+        self._writer = Workers(1, "postfx write")
         self._last: Future[None] | None = None
 
     def put(self, task: Callable[[], None]) -> None:

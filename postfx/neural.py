@@ -257,12 +257,12 @@ class _GridOnDevice:
             "grid": self._facts, "table": self.table, "points": points, "rows": rows}))
         encoder.barrier()
 
-    def learn(self, encoder: ComputeEncoder, points: Tensor, pulls: Tensor, hyper: Tensor) -> None:
+    def learn(self, encoder: ComputeEncoder, points: Tensor, pulls: Tensor, partials: Tensor, hyper: Tensor) -> None:
         encoder.dispatch(self._pull, ArgumentTable(self._pull, {
             "grid": self._facts, "points": points, "pulls": pulls, "sums": self._sums}))
         encoder.barrier()
         encoder.dispatch(self._step, ArgumentTable(self._step, {
-            "sums": self._sums, "hyper": hyper, "table": self.table, "moments": self._moments}))
+            "sums": self._sums, "partials": partials, "hyper": hyper, "table": self.table, "moments": self._moments}))
 
 
 class Learner:
@@ -333,11 +333,13 @@ class Learner:
             "network": self._facts, "parameters": self.parameters, "points": rows, "values": values}))
 
     def learn(self, encoder: ComputeEncoder, points: Tensor, targets: Tensor) -> None:
-        """Record one step of Adam on the mean squared error, and barriers around its update of the parameters.
+        """Record one step of Adam on the mean squared error of the points that are learnt, and barriers around its
+        update of the parameters.
 
         Args:
             points: (points, inputs).
-            targets: (points, outputs); a point with one that is not finite is left out.
+            targets: (points, outputs); a point with one that is not finite is not learnt: it counts
+                neither in the error nor in the number of points.
         """
         self._check(points, self._inputs, points.shape[0])
         self._check(targets, self.network.outputs, points.shape[0])
@@ -345,7 +347,7 @@ class Learner:
         least, most = GROUPS if self.device.memory.host_visible else GPU_GROUPS
         groups = min(most, -(-points.shape[0] // least))
         if groups not in self._partials:
-            self._partials[groups] = self.device.heap.tensor("neural partials", (groups, self.network.count + 1))
+            self._partials[groups] = self.device.heap.tensor("neural partials", (groups, self.network.count + 2))
         partials = self._last = self._partials[groups]
         encoder.dispatch(self._gradients, ArgumentTable(self._gradients, {
             "network": self._facts, "parameters": self.parameters, "points": rows, "targets": targets,
@@ -354,7 +356,7 @@ class Learner:
         encoder.dispatch(self._adam, ArgumentTable(self._adam, {
             "partials": partials, "hyper": self._hyper, "parameters": self.parameters, "moments": self.moments}))
         if self._grid:
-            self._grid.learn(encoder, points, pulls, self._hyper)
+            self._grid.learn(encoder, points, pulls, partials, self._hyper)
         encoder.barrier()
 
     def _read(self, encoder: ComputeEncoder, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -391,10 +393,11 @@ class Learner:
             commands.wait()
 
     def error(self) -> float:
-        """Mean squared error of the points of the last step that ran, before that step."""
+        """Mean squared error of the points that the last step learnt, before that step; NaN if it learnt none."""
         if self._last is None:
             raise BindingError("the network has not learned yet: record `learn` and wait for its commands")
-        return float(self._last.content()[:, -1].sum(dtype=np.float64))
+        off, learnt = self._last.content()[:, -2:].sum(0, dtype=np.float64)
+        return float(off / learnt) if learnt else float("nan")
 
     def _check(self, tensor: Tensor, numbers: int, points: int) -> None:
         if tensor.shape != (points, numbers) or points < 1:

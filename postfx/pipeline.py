@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from postfx.repair import is_unusable, repair_nonfinite
 from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor, default_device
 from postfx.runtime.encoders import Recordings
 from postfx.runtime.memory import address
+
+if TYPE_CHECKING:
+    from postfx.doctor.first_frames import FirstFrames
 
 MOST_COPIES, SMALL = MOST_SIZES * (len(Role) + len(GUIDE_ROLES)), 1 << 20
 """Planes and guides of all sizes that are kept ready; bytes that are copied sooner than commands are recorded."""
@@ -45,6 +48,8 @@ class Pipeline:
         cuts: 'auto' drops the history also before frames that are unrelated to the one before, as
             `postfx.cuts.CutDetector` finds them; 'none' only before frames marked with `frame.reset`.
         run_up: what fills the history before the first frame of a shot, such as a `postfx.RunUp`; None for nothing.
+        checks: whether to look at the first frames that are denoised over time, and to tell the logger "postfx" what is
+            plainly wrong with them, such as motion of the wrong sign; it takes a moment of the third frame.
 
     Where POSTFX_EXPOSURE_TOOL is 1 in the environment, `postfx.passes.exposure_tool` covers the upscaler's output.
 
@@ -68,6 +73,7 @@ class Pipeline:
         exposure: str | float | ExposureMeter | SmoothExposure = "auto",
         cuts: str = "auto",
         run_up: RunUp | None = None,
+        checks: bool = True,
     ) -> None:
         if cuts not in ("auto", "none"):
             raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are known")
@@ -82,6 +88,8 @@ class Pipeline:
         self._meter = exposure if callable(exposure) else ExposureMeter(exposure)
         self._detector = CutDetector() if cuts == "auto" else None
         self._run_up = run_up
+        self._checks = checks
+        self._looker: FirstFrames | None = None
         self._begins = True  # nothing is known of the frames before
         self._flow = Flow(self.device)
         self._own_device = device
@@ -92,7 +100,7 @@ class Pipeline:
     def __reduce__(self) -> tuple[Callable[..., Pipeline], tuple[Any, ...]]:
         """Pickled by its arguments: the copy is not compiled and has no history. Without a device of its own it
         runs on the default device of the process that it comes to."""
-        return _make_pipeline, (self.passes, self._own_device, self._meter, self._cuts, self._run_up)
+        return _make_pipeline, (self.passes, self._own_device, self._meter, self._cuts, self._run_up, self._checks)
 
     def __call__(self, frame: Frame) -> Frame:
         """The frame after all passes; the given frame is not changed. For one thread at a time.
@@ -125,6 +133,7 @@ class Pipeline:
         if frame.reset:
             self._reset_passes()
         self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
+        self._look(frame, plan)
         run = self._run_up_to(frame, plan)
         result = self._flow.run(run, plan, self.exposure, is_unusable(frame, self.bad_pixels), frame)
         self._begins, self.timings = False, dict(self._flow.timings)
@@ -135,6 +144,17 @@ class Pipeline:
         views = {name: self._process_view(name, view.copy_with(reset=view.reset or self.cut))
                  for name, view in frame.views.items()}
         return result.copy_with(views=views)
+
+    def _look(self, frame: Frame, plan: Plan) -> None:
+        """Tell the log what is plainly wrong with the first frames."""
+        if not self._checks or self.device.scratch or frame.encoding != "scene-linear" or not plan.accumulating_steps():
+            return
+        if self._looker is None:
+            from postfx.doctor.first_frames import FirstFrames  # loads the doctor, which stills need not wait for
+
+            self._looker = FirstFrames(on_gpu=not self.device.memory.host_visible, copies=True)
+        for text in self._looker.look(frame):
+            LOG.warning("%s", text)
 
     def _process_view(self, name: str, frame: Frame) -> Frame:
         result = (own := self._of_view(name))(frame)
@@ -150,7 +170,8 @@ class Pipeline:
         if name not in self._views:
             of_view = getattr(self._run_up, "of_view", None)
             passes = [copy.copy(item) for item in self.passes]
-            self._views[name] = Pipeline(passes, self.device, _SharedExposure(self), "none", of_view and of_view(name))
+            self._views[name] = Pipeline(passes, self.device, _SharedExposure(self), "none", of_view and of_view(name),
+                                         checks=False)
         return self._views[name]
 
     def on_device(
@@ -359,9 +380,9 @@ class _SharedExposure(ExposureMeter):
 
 def _make_pipeline(
     passes: Sequence[Pass], device: Device | None, meter: ExposureMeter | SmoothExposure, cuts: str,
-    run_up: RunUp | None
+    run_up: RunUp | None, checks: bool
 ) -> Pipeline:
-    pipeline = Pipeline(passes, device, meter, cuts, run_up)
+    pipeline = Pipeline(passes, device, meter, cuts, run_up, checks)
     pipeline.reset()
     return pipeline
 

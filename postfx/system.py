@@ -23,7 +23,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +141,29 @@ def _numbers(folder: Path, names: tuple[tuple[str, ...], ...]) -> Iterator[list[
 # Work that threads share
 
 
+class Workers(ThreadPoolExecutor):
+    """A pool of threads that also serves the program's own threads while the interpreter waits for them to end: pools
+    of Python refuse work from the moment that the main thread is done."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Start a function; its result or error is in the future."""
+        try:
+            return super().submit(fn, *args, **kwargs)
+        except RuntimeError as error:
+            if "interpreter shutdown" not in str(error):
+                raise
+        future: Future[Any] = Future()
+        threading.Thread(target=_fulfil, args=(future, partial(fn, *args, **kwargs))).start()
+        return future
+
+
+def _fulfil(future: Future[Any], task: Callable[[], Any]) -> None:
+    try:
+        future.set_result(task())
+    except BaseException as error:
+        future.set_exception(error)
+
+
 @cache
 def _shared_cores() -> int:
     """Threads that work: asked for once, as the answer lies in files."""
@@ -148,9 +171,9 @@ def _shared_cores() -> int:
 
 
 @cache
-def _threads(waiting: bool) -> ThreadPoolExecutor:
+def _threads(waiting: bool) -> Workers:
     """Threads that work, or those that mostly wait for them."""
-    return ThreadPoolExecutor(4 if waiting else _shared_cores(), "postfx")
+    return Workers(4 if waiting else _shared_cores(), "postfx")
 
 
 def begin(task: Callable[[], Any]) -> Future[Any]:

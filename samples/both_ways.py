@@ -36,10 +36,10 @@ args = parser.parse_args()
 
 shot = postfx.read_sequence(ROOM / "noisy.####.exr")
 references = postfx.read_sequence(ROOM / "reference.####.exr")
-later = postfx.Backwards(shot, model=args.model)
-forwards = postfx.Pipeline([postfx.DenoiseUpscale(model=args.model)])
-run_up = postfx.Pipeline([postfx.DenoiseUpscale(model=args.model)], run_up=postfx.RunUp(shot))
-both = postfx.Pipeline([postfx.DenoiseUpscale(model=args.model), postfx.BothWays()])
+later = postfx.Backwards(shot, scale=2, model=args.model)
+forwards = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=args.model)])
+run_up = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=args.model)], run_up=postfx.RunUp(shot))
+both = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=args.model), postfx.BothWays()])
 print("frame  forwards  run-up  both ways (PSNR, dB)")
 for frame, reference in zip(shot, references, strict=True):
     results = [passed[Role.COLOUR] for passed in (forwards(frame), run_up(frame), both(later(frame)))]

@@ -33,7 +33,7 @@ wanted = [shown(np.maximum(frame[Role.COLOUR], 0)) for frame in postfx.read_sequ
 device, half, rows, pictures = postfx.Device("cpu", threads=chosen.threads), len(frames) // 2, [], []
 for model in chosen.models:
     options = {"strength": 0} if model == "plain" else {"model": model}
-    chain, found, times = postfx.Pipeline([postfx.DenoiseUpscale(**options)], device), [], []
+    chain, found, times = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, **options)], device), [], []
     for frame in frames:
         began = time.process_time()
         colour = chain(frame)[Role.COLOUR]

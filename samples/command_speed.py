@@ -50,7 +50,8 @@ def command_seconds(folder: Path, way: tuple[str, ...], model: str, last: int) -
     """Time of a run over frames 1 to `last`, and its processor time."""
     ending, *options = way
     command = [sys.executable, "-m", "postfx", "run", str(folder / "frame.####.exr"), "-o",
-               str(folder / f"out.####.{ending}"), "--model", model, "--frames", f"1-{last}", "--overwrite", *options]
+               str(folder / f"out.####.{ending}"), "--scale", "2", "--model", model, "--frames", f"1-{last}",
+               "--overwrite", *options]
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(command, check=True, capture_output=True)
     spent, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -126,7 +126,7 @@ def draw(path: str) -> None:
     front = rendered(overlay, 180, 320)
     still = [replace(frame, jitter=(0.0, 0.0)) for frame in postfx.read_sequence(ROOM, "2")]
     frames = [replace(frame, planes={**frame.planes, Role.OVERLAY: front}) for frame in still]
-    mine = shown([postfx.Pipeline([postfx.DenoiseUpscale(), postfx.Overlay(), postfx.ToneMap()])])
+    mine = shown([postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.Overlay(), postfx.ToneMap()])])
     frames = [replace(frame, guides={Role.OVERLAY: cubic(front).astype(np.float32)}) for frame in still]
     ringing = shown([postfx.Pipeline([postfx.DenoiseUpscale(scale=2), postfx.Overlay(), postfx.ToneMap()])])
     parts = [picture[66:156, 356:446].repeat(2, 0).repeat(2, 1) for picture in (ringing, mine)]

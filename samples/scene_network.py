@@ -4,11 +4,11 @@ python samples/scene_network.py [PICTURE] [--models FOLDER] [--noisy PATTERN --r
 
 The networks are those of `python -m training.scene_network`: shading.onnx from planes alone, temporal.onnx from planes
 and its state of the frame before, and amplifier.onnx from planes and one sample a pixel. On a sequence: PSNR after
-x/(1+x) and the sRGB curve, and flicker, also of temporal.onnx without history. On held-out views, by `python -m
-training.datagen.make_sample views`: PSNR, as it is and without the noise of the reference, which its two halves tell,
-also of the mean of what shading.onnx makes of planes through several positions in the pixel; and how many samples a
-pixel have the error of amplifier.onnx, by a stack of independent one-sample images. Prints milliseconds a frame; draws
-frames. Needs matplotlib, postfx-render[bench].
+x/(1+x) and the sRGB curve, relMSE of light, and flicker, also of temporal.onnx without history. On held-out views, by
+`python -m training.datagen.make_sample views`: both, as they are and without the noise of the reference, which its two
+halves tell, also of the mean of what shading.onnx makes of planes through several positions in the pixel; and how many
+samples a pixel have the relMSE of amplifier.onnx, by a stack of independent one-sample images. Prints milliseconds a
+frame; draws frames. Needs matplotlib, postfx-render[bench].
 """
 import argparse
 import statistics
@@ -82,9 +82,23 @@ def decibels(error: float) -> float:
     return float(-10 * np.log10(max(error, 1e-12)))
 
 
-def error_of(light: np.ndarray, other: np.ndarray) -> float:
-    """Mean squared difference of codes."""
-    return float(np.mean((shown(np.maximum(light, 0)) - shown(np.maximum(other, 0))) ** 2))
+DARK = 0.01
+"""Added to the squared reference in relMSE, so that black pixels do not decide it."""
+
+
+def errors_of(light: np.ndarray, other: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Mean squared difference of codes, which hide what is near white, and relMSE of light, of all pixels."""
+    codes = np.mean((shown(np.maximum(light, 0)) - shown(np.maximum(other, 0))) ** 2)
+    difference = light.astype(np.float64) - other
+    return np.array([codes, np.mean(difference**2 / (reference.astype(np.float64)**2 + DARK))])
+
+
+def equivalent_samples(own: float, counts: np.ndarray, curve: np.ndarray) -> float:
+    """How many samples a pixel have this error, by that of the means of `counts` images; beyond the last by 1/n."""
+    if own <= curve[-1]:
+        return float(counts[-1] * curve[-1] / own)
+    falling = np.minimum.accumulate(curve)
+    return float(np.exp(np.interp(-np.log(own), -np.log(falling), np.log(counts))))
 
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -113,23 +127,24 @@ for way in [way for way in ways if way != "amplifier"]:
             shader.forget()
         found = shader(planes_of(frame))
         now = Pictures(shown(np.maximum(found, 0)), shown(truth))
-        errors.append(error_of(found, truth))
+        errors.append(errors_of(found, truth, truth))
         if before:
             flickers.append(flicker(before, now, frame[Role.MOTION]))
         before = now
-    pictures += [("reference", truth)] * (way == ways[0]) + [(f"{way}, {decibels(errors[-1]):.1f} dB", found)]
+    pictures += [("reference", truth)] * (way == ways[0]) + [(f"{way}, {decibels(errors[-1][0]):.1f} dB", found)]
     for _ in range(chosen.runs):
         shader(planes_of(frame))
-    print(f"{way:22} {decibels(np.mean(errors)):6.2f} dB  flicker {np.mean(flickers):6.2f}  {shader.taken:8.2f} ms a "
-          f"frame, {1000 / shader.taken:.0f} frames a second on {chosen.device}")
+    codes, relative = np.mean(errors, 0)
+    print(f"{way:22} {decibels(codes):6.2f} dB  relMSE {relative:.5f}  flicker {np.mean(flickers):6.2f}  "
+          f"{shader.taken:8.2f} ms a frame, {1000 / shader.taken:.0f} frames a second on {chosen.device}")
 
 views = [path for path in sorted(chosen.views.glob("held.????.npz"))] if chosen.views else []
-errors, noises, equals, shaders, stacked = {way: [] for way in ways}, [], [], {}, []
+errors, noises, equals, shaders = {way: [] for way in ways}, [], [], {}
 for path in views:
     view = dict(np.load(path))
     halves, size = (view["reference_a"], view["reference_b"]), view["depth"].shape[1:3]
     truth = (halves[0] + halves[1]) / 2
-    noises.append(error_of(*halves) / 4)
+    noises.append(errors_of(*halves, truth) / 4)
     moments = [{name: view[name][k] for name in ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth",
                                                  "motion", "camera")} for k in range(len(view["depth"]))]
     for way in ways:
@@ -141,37 +156,39 @@ for path in views:
                 shader(planes)
         colours = view["colour"] if kind == "amplifier" else view["colour"][:1]
         results = [shader(moments[-1] | {"colour": colour}) for colour in colours]
-        errors[way].append(float(np.mean([error_of(one, truth) for one in results])))
+        errors[way].append(np.mean([errors_of(one, truth, truth) for one in results], 0))
         if path == views[0]:
             pictures += [("held-out view: reference", truth)] * (way == ways[0])
             pictures += [("one sample a pixel", view["colour"][0])] * (kind == "amplifier")
-            pictures += [(f"{way}, {decibels(errors[way][-1]):.1f} dB", results[0])] * ("no" not in way)
+            pictures += [(f"{way}, {decibels(errors[way][-1][0]):.1f} dB", results[0])] * ("no" not in way)
     if "pass_depth" in view and "shading" in ways:
         passes = [{name[5:]: view[name][k] for name in view if name.startswith("pass_")}
                   for k in range(len(view["pass_depth"]))]
         found = np.mean([shaders["shading"](planes) for planes in passes], 0)
-        errors.setdefault(f"shading, {len(passes)} planes", []).append(error_of(found, truth))
-    if "means" in view and "amplifier" in errors:  # where the error of the mean of n images is that of the amplifier
-        curve = np.array([error_of(mean, truth) - noises[-1] for mean in view["means"].astype(np.float32)])
+        errors.setdefault(f"shading, {len(passes)} planes", []).append(errors_of(found, truth, truth))
+    if "means" in view and "amplifier" in errors:
+        curve = np.array([errors_of(mean, truth, truth) for mean in view["means"].astype(np.float32)]) - noises[-1]
         own = errors["amplifier"][-1] - noises[-1]
-        stacked.append((own, curve[-1]))
-        at = float(np.exp(np.interp(-np.log(own), -np.log(np.minimum.accumulate(curve)), np.log(view["counts"]))))
-        equals.append(at if own > curve[-1] else float(view["counts"][-1] * curve[-1] / own))
-        print(f"{path.name}: the amplifier {decibels(own):.2f} dB, the mean of {view['counts'][-1]} images "
-              f"{decibels(curve[-1]):.2f}, of 1 {decibels(curve[0]):.2f}: worth {equals[-1]:.1f} samples"
-              f"{'' if own > curve[-1] else ', beyond the stack by 1/n'}")
+        equals.append([equivalent_samples(own[k], view["counts"], curve[:, k]) for k in range(2)])
+        print(f"{path.name}: relMSE of the amplifier {own[1]:.5f}, of the mean of {view['counts'][-1]} images "
+              f"{curve[-1, 1]:.5f}, of 1 {curve[0, 1]:.5f}: worth {equals[-1][1]:.1f} samples; by codes "
+              f"{equals[-1][0]:.1f}")
 if views:
-    noise = float(np.mean(noises))
-    print(f"{len(views)} held-out views of {size[1]}x{size[0]}; the references' noise is {decibels(noise):.1f} dB")
+    noise = np.mean(noises, 0)
+    print(f"{len(views)} held-out views of {size[1]}x{size[0]}; the references' noise is {decibels(noise[0]):.1f} dB, "
+          f"relMSE {noise[1]:.5f}")
     for way, of_views in errors.items():
-        found = np.array(of_views)
-        print(f"{way:22} {decibels(found.mean()):6.2f} dB, without the noise {decibels(found.mean() - noise):6.2f}; "
+        found, relative = np.array(of_views).T
+        print(f"{way:22} {decibels(found.mean()):6.2f} dB, without the noise {decibels(found.mean() - noise[0]):6.2f}; "
               f"views from {decibels(found.max()):.2f} to {decibels(found.min()):.2f}, "
-              f"their mean {np.mean([decibels(one) for one in of_views]):.2f}")
+              f"their mean {np.mean([decibels(one) for one in found]):.2f}; relMSE {relative.mean():.5f}, without the "
+              f"noise {relative.mean() - noise[1]:.5f}")
     for kind, shader in shaders.items():
         print(f"{kind}: {shader.taken:.2f} ms")
 if equals:
-    print(f"equivalent samples: {np.mean(equals):.1f}, from {min(equals):.1f} to {max(equals):.1f}")
+    codes, relative = np.array(equals).T
+    print(f"equivalent samples: {relative.mean():.1f} by relMSE, from {relative.min():.1f} to {relative.max():.1f}; "
+          f"{codes.mean():.1f} by codes")
 
 rows = -(-len(pictures) // 4)
 figure = Figure((14, 2.2 * rows), layout="constrained")

@@ -95,14 +95,14 @@ def make_all(folder: Path) -> None:
         view = {kind: pixels_of(next((work / "views").glob(f"*{kind}*{FRAME:04d}.png"))) for kind in ("log_c", "zebra")}
         save_png(folder / "false_colour.png", view["log_c"])
         save_png(folder / "zebra.png", view["zebra"][:, -510:])  # the windows, the lamp and the metal
-        run("run", noisy, "-o", work / "clean.####.exr", "--report", work / "report.html", "--reference", reference,
-            "--quiet")
+        run("run", noisy, "-o", work / "clean.####.exr", "--scale", "2", "--report", work / "report.html",
+            "--reference", reference, "--quiet")
         take_screenshot(work / "report.html", (1340, 1760), work / "report.png")
         report = oiio.ImageBufAlgo.channels(oiio.ImageBuf(str(work / "report.png")), (0, 1, 2))
         report.specmod().attribute("Compression", "jpeg:85")
         report.write(str(folder / "report.jpg"))
-        run("run", noisy, "-o", work / "captured.####.exr", "--frames", "1-2", "--model", "m.fp32", "--capture",
-            work / "look", "--capture-network", "--quiet")
+        run("run", noisy, "-o", work / "captured.####.exr", "--scale", "2", "--frames", "1-2", "--model", "m.fp32",
+            "--capture", work / "look", "--capture-network", "--quiet")
         page = work / "look/capture.html"
         page.write_text(page.read_text("utf-8").replace(f"{ROOT}/", "") + ONLY_NETWORKS, "utf-8")
         take_screenshot(page, (1500, 880), folder / "capture_network.png")

@@ -149,3 +149,10 @@ def test_the_display_example_runs(tmp_path, monkeypatch):
     (code,) = blocks("howto/display.md", "python")
     exec(code, {})
     assert len(list((tmp_path / "out").glob("hdr.*.png"))) == 2
+
+
+def test_the_presenter_of_the_page_shows_all(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (code,) = (block for block in blocks("interpolation.md", "python") if "Presenter" in block)
+    exec(code, {})
+    assert "every 8.33 ms" in capsys.readouterr().out and (tmp_path / "pacing.png").is_file()

@@ -9,10 +9,12 @@ import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import postfx
 from postfx.errors import ExposureError, FrameError, MissingPlaneError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
@@ -167,3 +169,81 @@ def test_errors_come_back_from_other_processes(device):
     again = pickle.loads(pickle.dumps(caught.value))
     assert type(again) is HazardError and str(again) == str(caught.value)
     assert (again.kind, again.tensor, again.second) == (caught.value.kind, "x", caught.value.second)
+
+
+FORKED = """
+import os, sys
+import numpy as np
+import postfx
+frame = postfx.Frame({"colour": np.ones((300, 400, 3), np.float32)})
+postfx.write_frame("parent.exr", frame)
+child = os.fork()
+if child == 0:
+    for name, compression in (("a.exr", "zip"), ("b.exr", "piz"), ("c.exr", "dwaa"), ("d.png", "zip"), ("e.jpg", "zip")):
+        postfx.write_frame(name, frame, compression=compression)
+    for name in ("parent.exr", "a.exr", "b.exr"):
+        assert all((one["colour"] == 1).all() for one in postfx.read_sequence(name))
+    sys.exit(0)  # as a program ends, with all that waits for threads
+postfx.write_frame("parent2.exr", frame)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_process_reads_and_writes_files(tmp_path):
+    """OpenEXR's threads do not come along, and it would wait for them for ever."""
+    subprocess.run([sys.executable, "-c", FORKED], cwd=tmp_path, env=with_sources(), check=True, timeout=60)
+    assert {path.name for path in tmp_path.iterdir()} == {"parent.exr", "parent2.exr", "a.exr", "b.exr", "c.exr",
+                                                          "d.png", "e.jpg"}
+
+
+AFTER_MAIN = """
+import threading, time
+import numpy as np
+import postfx
+frame = postfx.Frame({"colour": np.random.default_rng(1).random((60, 80, 3), np.float32)})
+def work():
+    threading.main_thread().join()
+    time.sleep(0.2)
+    for name in ("a.exr", "b.png", "c.jpg"):
+        postfx.write_frame(name, frame)
+    read, = postfx.read_sequence("a.exr")
+    postfx.write_frame("d.exr", postfx.Pipeline([postfx.DenoiseUpscale(model="s")], postfx.Device("cpu"))(read))
+    other = postfx.Frame({"colour": np.roll(frame["colour"], 2, 1)})
+    postfx.write_frame("e.exr", postfx.Between(frame, other).frame(0.5))
+threading.Thread(target=work).start()
+"""
+
+
+def test_threads_of_the_program_go_on_after_its_main_thread(tmp_path):
+    """Python's pools refuse work from then on; frames would be lost, and the exit status 0."""
+    done = subprocess.run([sys.executable, "-c", AFTER_MAIN], cwd=tmp_path, env=with_sources(), capture_output=True,
+                          text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert {path.name for path in tmp_path.iterdir()} >= {"a.exr", "b.png", "c.jpg", "d.exr", "e.exr"}
+
+
+SILENT = """
+import time
+import numpy as np
+import postfx
+from postfx.runtime.session import ort
+postfx.denoise(np.ones((64, 64, 3), np.float32))
+time.sleep(1)
+print(ort.__version__)
+"""
+
+
+def test_nothing_of_others_is_stored_in_the_home(tmp_path):
+    """ONNX Runtime keeps a device id there, and looks for its maker's host, unless it is told not to."""
+    environment = {**with_sources(), "HOME": str(tmp_path), "XDG_CACHE_HOME": "", "NUMBA_CACHE_DIR": ""}
+    environment.pop("ORT_DISABLE_TELEMETRY", None)
+    subprocess.run([sys.executable, "-c", SILENT], env=environment, check=True, timeout=300)
+    found = [path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()]
+    assert {path.parts[:2] for path in found} <= {(".cache", "postfx")}
+    assert not (tmp_path / ".cache/Microsoft").exists()
+
+
+def with_sources():
+    """Variables of a process that imports these sources."""
+    return {**os.environ, "PYTHONPATH": str(Path(postfx.__file__).parents[1])}

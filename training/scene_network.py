@@ -10,7 +10,9 @@ colour of one sample a pixel. These two begin with the weights of MODELS/shading
 
 The networks read first-hit planes of one sample a pixel, and the camera: from them, the graph finds each pixel's place
 in the room, and where the mirrored view ray leaves the room's box (Lagarde and Zanuttini 2012), both with Fourier
-features (Tancik 2020). What they give is the logarithm of light without reflectance, which the albedos put back.
+features (Tancik 2020). What they give is the logarithm of light without reflectance, which the albedos put back. Codes
+near white say little about light, so it is bounded by the most that training saw. Where a lamp or a miss is near white,
+the amplifier gives the colour that it is given.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ from torch.nn import functional as F
 WIDTHS = (48, 64, 96, 104)
 BANDS, BOX_BANDS, WAY_BANDS = 6, 5, 4
 EMITTER = 0.005
+BRIGHT = 4.0
+"""Light whose code is near white, 0.9."""
 INPUTS = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "camera")
 KINDS = {"shading": (), "temporal": ("motion", "before"), "amplifier": ("colour",)}
 """What each network reads beyond INPUTS."""
@@ -60,7 +64,12 @@ def reflectance(diffuse: torch.Tensor, specular: torch.Tensor) -> torch.Tensor:
     """What light is divided by: both albedos with a floor, 1 for lamps and misses."""
     total = diffuse + specular
     peak = total.amax(1, keepdim=True)
-    return torch.where(peak < EMITTER, torch.ones_like(total), torch.maximum(total, 0.15 * peak) + 0.01)
+    return torch.where(is_emitter(diffuse, specular), torch.ones_like(total), torch.maximum(total, 0.15 * peak) + 0.01)
+
+
+def is_emitter(diffuse: torch.Tensor, specular: torch.Tensor) -> torch.Tensor:
+    """Where a pixel (N, 1, H, W) shows a lamp or a miss, which reflect nothing."""
+    return (diffuse + specular).amax(1, keepdim=True) < EMITTER
 
 
 def waves(x: torch.Tensor, bands: int) -> torch.Tensor:
@@ -85,13 +94,14 @@ class Block(nn.Module):
 
 
 class SceneNetwork(nn.Module):
-    """Features of pixels -> light. `low` and `high` are the corners of the scene's box."""
+    """Features of pixels -> light. `low` and `high` are the corners of the scene's box, `most` its brightest light."""
 
-    def __init__(self, kind: str, low: torch.Tensor, high: torch.Tensor) -> None:
+    def __init__(self, kind: str, low: torch.Tensor, high: torch.Tensor, most: float = 6e4) -> None:
         super().__init__()
         self.kind = kind
         self.register_buffer("low", low)
         self.register_buffer("high", high)
+        self.register_buffer("most", torch.tensor(most))
         extra = {"shading": 0, "temporal": 4, "amplifier": 3}[kind]
         features = 6 * (BANDS + BOX_BANDS + WAY_BANDS) + 23 + extra
         self.stem = nn.Conv2d(features, WIDTHS[0], 1)
@@ -149,19 +159,23 @@ class SceneNetwork(nn.Module):
         features, place = self.features(x, ray)
         shine = reflectance(x["diffuse_albedo"], x["specular_albedo"])
         if self.kind == "shading":
-            light = F.softplus(self.body(features))
-            return shine * torch.expm1(light.clamp(max=12.0)), None
+            return self.shaded(F.softplus(self.body(features)), shine), None
         if self.kind == "amplifier":
             noisy = torch.log1p(x["colour"].clamp(0.0, 6e4) / shine) / 3
-            light = F.softplus(self.body(torch.cat([features, noisy], 1)))
-            return shine * torch.expm1(light.clamp(max=12.0)), None
+            found = self.shaded(F.softplus(self.body(torch.cat([features, noisy], 1))), shine)
+            is_lamp = is_emitter(x["diffuse_albedo"], x["specular_albedo"]) & (found > BRIGHT)
+            return torch.where(is_lamp, torch.minimum(x["colour"].clamp(min=BRIGHT), self.most), found), None
         before = warp(x["before"], x["motion"])
         same = self.same_surface(before, place, x)
         past = torch.where(same, before[:, :3], torch.zeros_like(before[:, :3]))
         found = self.body(torch.cat([features, past / 3, same.float()], 1))
         share = torch.sigmoid(found[:, 3:]) * same
         light = torch.lerp(F.softplus(found[:, :3]), past, share)
-        return shine * torch.expm1(light.clamp(max=12.0)), torch.cat([light, place, torch.ones_like(share)], 1)
+        return self.shaded(light, shine), torch.cat([light, place, torch.ones_like(share)], 1)
+
+    def shaded(self, light: torch.Tensor, shine: torch.Tensor) -> torch.Tensor:
+        """Colour of logarithms of light, at most as bright as what the network learnt from."""
+        return torch.minimum(shine * torch.expm1(light.clamp(max=12.0)), self.most)
 
 
 def warp(image: torch.Tensor, motion: torch.Tensor) -> torch.Tensor:
@@ -194,7 +208,7 @@ class Exported(nn.Module):
 def load(kind: str, path: Path) -> SceneNetwork:
     """The network of a file KIND.pt, on the CPU."""
     weights = torch.load(path, map_location="cpu")
-    network = SceneNetwork(kind, weights["low"].float(), weights["high"].float())
+    network = SceneNetwork(kind, weights["low"].float(), weights["high"].float(), float(weights["most"]))
     network.load_state_dict(weights)
     return network
 
@@ -247,7 +261,9 @@ class Views:
         self.count, self.frames, self.height, self.width, _ = self.tensors["depth"].shape
         self.colours = self.tensors["colour"].shape[1]
         self.device = device
-        self.tensors["wanted"] = codes_of(*(self.tensors.pop(half) for half in HALVES))
+        halves = [self.tensors.pop(half) for half in HALVES]
+        self.most = float(((halves[0] + halves[1]) / 2).max())
+        self.tensors["wanted"] = codes_of(*halves)
         cameras = self.tensors["camera"]
         flat = [rays(cameras[:, k], self.height, self.width).permute(0, 2, 3, 1) for k in range(self.frames)]
         self.tensors["ray"] = torch.stack(flat, 1).contiguous()
@@ -400,7 +416,8 @@ def train(args: argparse.Namespace) -> None:
             network = load(kind, args.start / f"{kind}.pt")
         else:
             other = load("shading", base) if kind != "shading" and base.exists() else None
-            network = SceneNetwork(kind, *((other.low, other.high) if other else views.box()))
+            box = (other.low, other.high) if other else views.box()
+            network = SceneNetwork(kind, *box, views.most)
             network = begun_with(network, other) if other else network
         began, (share, rate) = time.monotonic(), SHARES[kind]
         network = fit(network, views, args, args.seconds * share, rate)

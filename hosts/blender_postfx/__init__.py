@@ -1,4 +1,5 @@
-"""Denoise and upscale what Cycles rendered, from Blender's render properties.
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Denoise what Cycles rendered, from Blender's render properties.
 
 The work is done by the command `postfx` in a process of its own: nothing is installed into Blender, and Blender
 stays usable meanwhile. Results stand beside the render, as `<name>denoised_####.exr`.
@@ -71,9 +72,34 @@ class Job:
         told = [line for line in lines if line.startswith("error")] or lines[-1:]
         return told[0] if told else f"postfx ended with code {self._process.returncode}"
 
+    def warnings(self) -> list[str]:
+        """What the command said of the frames, such as motion of the wrong sign, each once."""
+        lines = self._errors.read_text(errors="replace").splitlines()
+        told = [line.removeprefix("warning").strip() for line in lines if line.startswith("warning ")]
+        return list(dict.fromkeys(told))
+
+    def doing(self) -> str:
+        """The command's last line, such as that it compiles kernels the first time."""
+        lines = [line.strip() for line in self._errors.read_text(errors="replace").splitlines() if line.strip()]
+        return lines[-1] if lines else "starting"
+
+
+PRESETS = [("NONE", "Standard", "Every frame uses the frames before it"),
+           ("preview", "Preview", "The fastest: the small network, alone"),
+           ("final", "Final", "The cleanest: both directions, two to three times the time"),
+           ("animation", "Animation", "As Final, and steady in brightness")]
+
 
 class Settings(bpy.types.PropertyGroup):
-    scale: bpy.props.FloatProperty(name="Scale", default=2.0, min=1.0, max=3.0, description="Output over render size")
+    preset: bpy.props.EnumProperty(name="Preset", default="NONE", items=PRESETS)
+    parts: bpy.props.BoolProperty(
+        name="Light groups and passes", default=False,
+        description="Denoise them with the picture, so that they still add up to it")
+    fireflies: bpy.props.FloatProperty(
+        name="Clamp fireflies", default=0.0, min=0.0, max=100.0,
+        description="Darken pixels that are more than this many times as bright as those around them; 0 for none")
+    findings: bpy.props.StringProperty(description="What postfx said of the passes, a line each")
+    scale: bpy.props.FloatProperty(name="Scale", default=1.0, min=1.0, max=3.0, description="Output over render size")
     model: bpy.props.EnumProperty(name="Network", default="m", items=[
         ("s", "Small", "Fastest"), ("m", "Medium", "Recommended"), ("l", "Large", "Best")])
     strength: bpy.props.FloatProperty(name="Strength", default=1.0, min=0.0, max=1.0)
@@ -84,7 +110,7 @@ class Preferences(bpy.types.AddonPreferences):
 
     command: bpy.props.StringProperty(
         name="Command", subtype="FILE_PATH", description="The command postfx, such as /opt/venv/bin/postfx; empty: as "
-        "the system finds it. Install it by: pip install postfx-render")
+        "the system finds it. Install it in a checkout of postfx by: python3 -m pip install .")
 
     def draw(self, context):
         self.layout.prop(self, "command")
@@ -96,8 +122,8 @@ def find_command(context) -> list[str]:
     text = addon.preferences.command.strip() if addon else ""
     words = ([text] if Path(text).is_file() else shlex.split(text)) if text else ["postfx"]
     if shutil.which(words[0]) is None:
-        raise LookupError(f"there is no command '{words[0]}': install it (pip install postfx-render) and name "
-                          "it in the add-on's preferences")
+        raise LookupError(f"there is no command '{words[0]}': install it (python3 -m pip install . in a checkout of "
+                          "postfx) and name it in the add-on's preferences")
     return words
 
 
@@ -119,7 +145,8 @@ def file_of(pattern: str, frame: int) -> Path:
 
 
 class SetUp(bpy.types.Operator):
-    """Render the passes that postfx reads, into multilayer EXR files, without Blender's own denoiser"""
+    """Render the passes that postfx reads, into multilayer EXR files, with a seed for each frame and without Blender's
+    own denoiser"""
 
     bl_idname, bl_label, bl_options = "postfx.set_up", "Set up passes", {"REGISTER", "UNDO"}
 
@@ -132,13 +159,37 @@ class SetUp(bpy.types.Operator):
             layer.use_pass_z = layer.use_pass_normal = layer.use_pass_vector = True
             layer.use_pass_diffuse_color = layer.use_pass_glossy_color = True
             layer.cycles.denoising_store_passes = True
-        scene.cycles.use_denoising = False
+        scene.cycles.use_denoising, scene.cycles.use_animated_seed = False, True
         image = scene.render.image_settings
         if "media_type" in image.bl_rna.properties:  # since Blender 5
             image.media_type = "MULTI_LAYER_IMAGE"
         image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"  # half floats are too coarse for depth
         if scene.render.use_motion_blur:
             self.report({"WARNING"}, "with motion blur Cycles writes no vectors: frames are then denoised one by one")
+        return {"FINISHED"}
+
+
+class Check(bpy.types.Operator):
+    """Look for mistakes in the passes of the rendered frames, and list them with their fixes"""
+
+    bl_idname, bl_label = "postfx.check", "Check passes"
+
+    def execute(self, context):
+        try:
+            source, _ = patterns(context.scene)
+            command = find_command(context)
+        except LookupError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        done = subprocess.run([*command, "inspect", source, "--json"], capture_output=True, text=True,
+                              stdin=subprocess.DEVNULL)
+        if not done.stdout.strip():
+            self.report({"ERROR"}, (done.stderr.strip().splitlines() or ["postfx said nothing"])[-1])
+            return {"CANCELLED"}
+        found = [one for one in json.loads(done.stdout)["findings"] if one["level"] != "info"]
+        context.scene.postfx.findings = "\n".join(f"{one['role']}: {one['cause']}; {one['fix']}" for one in found)
+        self.report({"WARNING"} if found else {"INFO"}, f"postfx: {len(found)} findings" if found else
+                    "postfx found no mistake in the passes")
         return {"FINISHED"}
 
 
@@ -167,7 +218,9 @@ class Denoise(bpy.types.Operator):
         done = self._job.done()
         context.window_manager.progress_update(done / max(1, self._job.total))
         if self._job.running:
-            context.workspace.status_text_set(f"postfx: {done} of {self._job.total or '?'} frames. Esc to stop")
+            doing = f". {self._job.doing()}" if not done else ""
+            context.workspace.status_text_set(
+                f"postfx: {done} of {self._job.total or '?'} frames. Esc to stop{doing}")
             return {"RUNNING_MODAL"}
         self.cancel(context)
         return self._end(context)
@@ -200,9 +253,11 @@ class Denoise(bpy.types.Operator):
         except LookupError as error:
             self.report({"ERROR"}, str(error))
             return False
-        options = ["--scale", str(round(settings.scale, 3)), "--model", settings.model,
-                   "--strength", str(round(settings.strength, 3))]
-        options += [] if self.whole else ["--preroll", "auto"]
+        options = ["--scale", str(round(settings.scale, 3)), "--strength", str(round(settings.strength, 3))]
+        options += ["--model", settings.model] if settings.preset != "preview" else []
+        options += ["--preset", settings.preset] if settings.preset != "NONE" else []
+        options += ["--aov", "auto"] if settings.parts else []
+        options += ["--clamp-fireflies", str(round(settings.fireflies, 3))] if settings.fireflies else []
         self._frames = list(wanted)
         self._job = Job(command, source, output, ",".join(map(str, wanted)), options)
         return True
@@ -216,6 +271,10 @@ class Denoise(bpy.types.Operator):
             self.report({"ERROR"}, f"{fault} ({done} of {len(self._frames)} frames are done)")
             return {"CANCELLED"}
         show(context, self._job.output, self._frames)
+        told = self._job.warnings()
+        context.scene.postfx.findings = "\n".join(told)
+        for line in told:
+            self.report({"WARNING"}, f"postfx: {line}")
         self.report({"INFO"}, f"postfx: {done} frames, {self._job.output}")
         return {"FINISHED"}
 
@@ -242,14 +301,17 @@ class Panel(bpy.types.Panel):
         layout, settings = self.layout, context.scene.postfx
         layout.use_property_split = True
         layout.operator(SetUp.bl_idname)
-        for name in ("scale", "model", "strength"):
+        layout.operator(Check.bl_idname)
+        for name in ("preset", "model", "scale", "strength", "fireflies", "parts"):
             layout.prop(settings, name)
         row = layout.row(align=True)
         row.operator(Denoise.bl_idname, text="Denoise sequence").whole = True
         row.operator(Denoise.bl_idname, text="Current frame").whole = False
+        for line in settings.findings.splitlines():
+            layout.label(text=line, icon="ERROR")
 
 
-CLASSES = (Settings, Preferences, SetUp, Denoise, Panel)
+CLASSES = (Settings, Preferences, SetUp, Check, Denoise, Panel)
 
 
 def register() -> None:

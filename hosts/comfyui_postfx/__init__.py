@@ -133,7 +133,7 @@ class Denoise:
     def INPUT_TYPES(cls) -> dict[str, Any]:
         return {"required": {
             "frames": (FRAMES,),
-            "scale": ("FLOAT", {"default": 2.0, "min": 1.0, "max": 3.0, "step": 0.25}),
+            "scale": ("FLOAT", {"default": 1.0, "min": 1.0, "max": 3.0, "step": 0.25}),
             "model": (["m", "s", "l"],),
             "strength": ("FLOAT", {"default": 1.0, "min": 0.0, "max": 1.0, "step": 0.05})}}
 

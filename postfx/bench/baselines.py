@@ -8,24 +8,22 @@ another surface, and averages up to ten frames.
 from __future__ import annotations
 
 import math
-import time
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 
 from postfx.bench import require
-from postfx.errors import BenchError
+from postfx.errors import BenchError, DeviceError
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.kernels import Kernel
 from postfx.kernels.image import RESAMPLE, positions
 from postfx.kernels.numeric import centre, compiled, inline
+from postfx.oidn import OpenImageDenoise, total_albedo
 from postfx.runtime import ArgumentTable, Device
 
 
 class Oidn:
-    """Denoises frames of one size one by one, with albedo and normal as clean auxiliary images where there are any.
+    """Denoises frames one by one, with albedo and normal as clean auxiliary images where there are any.
 
     Args:
         quality: 'fast', 'balanced' or 'high'.
@@ -33,83 +31,31 @@ class Oidn:
         threads: CPU threads.
         prefilter: whether OIDN denoises albedo and normal first, as its guide advises for noisy ones.
 
-    Attributes:
-        milliseconds: total time in the filter, without copies to and from the device.
-
     The albedo is the sum of diffuse and specular albedo, at most 1, which suits OIDN better than diffuse albedo alone.
     Raises BenchError if pyoidn is not installed or OIDN cannot run on the device.
     """
 
     def __init__(self, quality: str, device: str, threads: int, prefilter: bool = False) -> None:
         require("pyoidn", "pyoidn", "runs Open Image Denoise")
-        self._oidn: Any = import_module("pyoidn")
-        self._quality = getattr(self._oidn, f"OIDN_QUALITY_{quality.upper()}")
-        self._device = self._new_device(device, threads)
-        self._images: dict[str, Any] = {}
-        self._prefilter = prefilter
-        self._filters: list[Any] = []
-        self.milliseconds = 0.0
+        try:
+            self._denoise = OpenImageDenoise(quality, device, threads, prefilter)
+        except DeviceError as error:
+            raise BenchError(f"{error}: use --device cpu, or leave OIDN out by --methods") from error
+
+    @property
+    def milliseconds(self) -> float:
+        """Total time in the filters, without copies to and from the device."""
+        return self._denoise.milliseconds
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Denoised colour (h, w, 3) of a frame."""
-        planes = _planes(frame)
-        if not self._filters:
-            self._prepare(planes)
-        for name, plane in planes.items():
-            self._images[name].write(0, plane.nbytes, plane)
-        begin = time.perf_counter()
-        for one in self._filters:
-            one.execute()
-        self._device.wait()
-        self.milliseconds += 1e3 * (time.perf_counter() - begin)
-        self._check()
-        result = np.empty(planes["color"].shape, np.float32)
-        self._images["output"].read(0, result.nbytes, result)
-        return result
-
-    def _new_device(self, name: str, threads: int) -> Any:
-        if name == "cuda" and not self._oidn.Device.is_cuda_available():
-            raise BenchError("OIDN finds no CUDA device: use --device cpu, or leave OIDN out by --methods")
-        kind = self._oidn.OIDN_DEVICE_TYPE_CUDA if name == "cuda" else self._oidn.OIDN_DEVICE_TYPE_CPU
-        device = self._oidn.Device(kind)
-        if name == "cpu":
-            device.set_int("numThreads", threads)
-        device.commit()
-        return device
-
-    def _prepare(self, planes: dict[str, np.ndarray]) -> None:
-        """Filters and images, which later frames of the same size use again."""
-        self._images = {name: self._oidn.Buffer(self._device, planes["color"].nbytes, self._oidn.OIDN_STORAGE_DEVICE)
-                        for name in (*planes, "output")}
-        alone = [name for name in planes if name != "color"] if self._prefilter else []
-        for images in (*({name: name, "output": name} for name in alone), {name: name for name in self._images}):
-            made = self._oidn.Filter(self._device, self._oidn.OIDN_FILTER_TYPE_RT)
-            for name, image in images.items():
-                made.set_image(name, self._images[image], self._oidn.OIDN_FORMAT_FLOAT3, *planes["color"].shape[1::-1])
-            if "color" in images:
-                made.set_bool("hdr", True)
-                made.set_bool("cleanAux", "albedo" in planes)
-            made.set_quality(self._quality)
-            made.commit()
-            self._filters.append(made)
-        self._check()
-
-    def _check(self) -> None:
-        message = self._device.get_error()
-        if message:
-            raise BenchError(f"OIDN failed: {message}")
-
-
-def _planes(frame: Frame) -> dict[str, np.ndarray]:
-    """Images by OIDN's names. OIDN takes normals only together with an albedo, and no value that is not finite."""
-    found = {"color": frame[Role.COLOUR]}
-    albedos = [frame[role] for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in frame]
-    if albedos:
-        found["albedo"] = np.clip(sum(albedos), 0, 1)
+        albedos = [frame[role] for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in frame]
+        aids = {"albedo": total_albedo(*albedos)} if albedos else {}
         if Role.NORMAL in frame:
-            found["normal"] = frame[Role.NORMAL]
-    finite = {name: np.nan_to_num(plane, posinf=0.0, neginf=0.0) for name, plane in found.items()}
-    return {name: np.ascontiguousarray(plane, np.float32) for name, plane in finite.items()}
+            aids["normal"] = frame[Role.NORMAL]
+        result = np.empty_like(frame[Role.COLOUR], np.float32)
+        self._denoise(frame[Role.COLOUR], aids, result)
+        return result
 
 
 class HostKernels:

@@ -198,7 +198,8 @@ class Network:
             run_up = RunUp(sequence, prepare=self._select_planes) if method.run_up else None
             if method.both:
                 self._backwards = Backwards(sequence, device, prepare=self._select_planes, model=model, scale=scale)
-        self._pipeline = Pipeline([DenoiseUpscale(model=model, scale=scale), BothWays()], device, run_up=run_up)
+        self._pipeline = Pipeline([DenoiseUpscale(model=model, scale=scale), BothWays()], device, run_up=run_up,
+                                  checks=False)
         self.device_ms = 0.0
 
     def reset(self) -> None:

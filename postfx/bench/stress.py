@@ -88,7 +88,7 @@ def stress(frames: Sequence[Frame], device: Device, models: Sequence[str] | None
     'm.int8' at render size. All frames but the last are changed, so that the last one has them in its history."""
     for model in models or tags(device):
         tag, unscaled = split_ending(model)[0], model.endswith(UNSCALED)
-        denoise = Pipeline([DenoiseUpscale(model=tag, scale=1 if unscaled else None)], device, cuts="none")
+        denoise = Pipeline([DenoiseUpscale(model=tag, scale=1 if unscaled else 2)], device, cuts="none", checks=False)
         given = [replace(frame, guides={}, guide_size=None) for frame in frames] if unscaled else frames
         show = Pipeline([ToneMap()], device, cuts="none")
         for case, change in HARD.items():

@@ -98,13 +98,14 @@ class Default(NamedTuple):
 
 def complete(options: Options, presets: Mapping[str, Mapping[str, Any]]) -> Any:
     """What fills in arguments that are not given, for `Parser.complete`. The arguments then have `filled`, the names of
-    those that files set, and `defaults`, the same as words of a command line."""
+    those that files set, `defaults`, the same as words of a command line, and `default_files`."""
 
     def fill_in(arguments: argparse.Namespace, given: set[str]) -> None:
         found = read_defaults(options)
         given |= {*options.fill(arguments, given, presets.get(arguments.preset, {}))}
         filled = options.fill(arguments, given, {name: default.value for name, default in found.items()})
         arguments.defaults = [word for name in filled for word in found[name].words]
+        arguments.default_files = list(dict.fromkeys(str(found[name].path) for name in filled))
         if "preset" in filled:
             filled += options.fill(arguments, {*given, *filled}, presets[arguments.preset])
         arguments.filled = set(filled)
@@ -143,12 +144,10 @@ def read_defaults(options: Options) -> dict[str, Default]:
 
 
 def _read(path: Path, options: Options) -> list[Default]:
-    import tomllib
-
-    from postfx.files import read_text
+    from postfx.files import parse_toml, read_text
 
     try:
-        content = tomllib.loads(read_text(path))
+        content = parse_toml(read_text(path))
     except (OSError, ValueError) as error:
         raise OptionError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     for name in content:

@@ -143,6 +143,7 @@ class ExposureCheck:
             "reference": self._arguments.reference,
             "graded": self._arguments.graded,
             "read_by": report.curve,
+            "remark": report.remark,
             "verdict": report.verdict,
             "level_right": round(report.grey, 5),
             "measurable_ev": report.limits_ev,
@@ -167,16 +168,14 @@ class ExposureCheck:
 
     def _read_by(self) -> list[str]:
         """By which curve levels of graded frames were read, and what remains uncertain."""
-        from postfx.exposure.response import OWN_CURVE
-
-        given, curve = self._arguments, self._report.curve
+        given = self._arguments
         if not given.graded:
             return []
         if not given.response:
             return [f"read by  the curve of --tonemap {given.tonemap or 'aces2'}: if your chain has another one, give "
                     "--response (--chart writes what it needs)"]
-        by = "the curve in" if curve == OWN_CURVE else f"{curve}, whose curve is that of"
-        return [f"read by  {by} {given.response}"]
+        remark = self._report.remark
+        return [f"read by  the curve in {given.response}", *([f"remark   {remark}"] if remark else [])]
 
     def write_pictures(self) -> Iterator[Path]:
         """Write what --curve and --views ask for; each path when it is there."""

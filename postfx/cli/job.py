@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
-from functools import partial
+from functools import cached_property, partial
 from math import log2
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ from postfx.cli.run_options import (
     RUN,
     explain_kept,
     explain_overlay,
+    find_partner,
     make_run_up,
     refuse_layer,
     refuse_views,
@@ -34,6 +35,7 @@ from postfx.cli.summary import (
     Report,
     describe_frames,
     describe_outputs,
+    describe_preroll,
     describe_sizes,
     describe_views,
     guides_in,
@@ -51,6 +53,7 @@ from postfx.kernels.native import CompileWatch
 from postfx.passes import Pass
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
+from postfx.passes.partner import Partner
 from postfx.passes.registry import create, insert_passes, parse_pass
 from postfx.pipeline import Pipeline
 from postfx.plan import Skip, from_files
@@ -61,6 +64,7 @@ from postfx.temporal.reverse_order import Backwards
 
 if TYPE_CHECKING:
     from postfx.cli.report import RunReport
+    from postfx.doctor.first_frames import FirstFrames
     from postfx.doctor.inspection import Inspection
     from postfx.report.page import FrameCapture
 
@@ -105,14 +109,16 @@ class Job:
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
         self._parts = self._find_parts()
-        passes, skips = self._passes(denoising, self._backwards is not None)
+        self._partner = None if covered or arguments.strength == 0 else find_partner(getattr(arguments, "with"))
+        passes, skips = self._passes(denoising, self._backwards is not None, self._partner)
         self.skips += skips
-        self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up)
+        self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False)  # it has its own
         refuse_views(self.sequence, self.outputs)
         with ExitStack() as stack:
             files = stack.enter_context(self.sequence.open(self.first))
             self.skips += explain_overlay(arguments, files)
             self._channels = {role: match.names for role, match in files.layout.planes.items()}
+            self._enable = files.layout.hints()
             spec = files.spec()
             self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards else spec)
             others = [stack.enter_context(self.sequence.reader(view).open(self.first)) for view in self.sequence.views]
@@ -121,6 +127,7 @@ class Job:
             self.skips += skips
         if not arguments.explain and arguments.model != "classic" and device.memory.host_visible and not device.scratch:
             check_memory(self.plan, self.sequence)
+        self._first_look = self._planes_of_later_frames()
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits, arguments.compression)
@@ -130,7 +137,6 @@ class Job:
             standin = Standin(self.sequence, plain, device, exposure)
         self._faults = Faults(policy, standin)
         self._warnings: list[str] = []
-        self._first_look: list[str] | None = None
         self._capture = self._make_capture(device) if arguments.capture else None
         self._page = self._make_page() if arguments.report else None
         self._seconds, self._preparation = 0.0, Preparation()
@@ -187,7 +193,9 @@ class Job:
         """Input, output and sizes, in a line."""
         to = f" to {self.outputs.path(self.first).with_name(self.outputs.pattern)}" if self.outputs else ""
         sizes, views = describe_sizes(self.plan, self.sequence), describe_views(self.sequence)
-        return f"{self.sequence.pattern}{to}: {describe_frames(self.sequence)}, {sizes}{views}"
+        partner = "".join(f", with {step.instance.described()}" for step in self.plan.steps
+                          if isinstance(step.instance, Partner))
+        return f"{self.sequence.pattern}{to}: {describe_frames(self.sequence)}, {sizes}{views}{partner}"
 
     def run(self) -> None:
         """Process all frames; the next is read and the last written meanwhile, and stays when a later one fails."""
@@ -208,12 +216,13 @@ class Job:
             self._seconds = time.perf_counter() - begin - later if begin else 0.0
             self._preparation = Preparation(self._preparation.seconds + later, self._watch.seconds, self._watch.count)
 
-    def preview(self, number: int, step: int) -> Path:
+    def preview(self, number: int, step: int, tell: Callable[[str], None]) -> Path:
         """Read, process and write one frame without an entry in the manifest; returns the file. The frame has the
         history of those that were previewed before. step: from one frame to the next. Raises PostfxError."""
         self.sequence.look_again(step)
         frame = self.sequence.read(number, self.plan.planes, self._guides)
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
+        self._look(frame, tell)
         result = self.pipeline(frame)
         for path, picture in self._files().split(result):
             write_frame(path, picture, relax=self._relax, **self._format)
@@ -230,7 +239,7 @@ class Job:
             pass_ms=self._pass_ms,
             ahead_ms=self._ahead_ms,
             skips=[*self.plan.skips, *self.skips, *self.pipeline.savings()],
-            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *(self._first_look or ()),
+            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *self._first_look,
                       *(self._capture.warnings if self._capture else ()),
                       *self._exposure.warnings(),
                       *warn_of_budget(self._arguments.budget, self._pass_ms, self._choices)],
@@ -275,12 +284,18 @@ class Job:
         if self._arguments.verbose:
             progress.note(str(self.plan))
         wanted = [work.number for work in run.works if work.write]
+        before = [work.number for work in run.works if work.number not in self.sequence.numbers]
+        if before:
+            progress.note(f"{describe_preroll(before)} for the history of frame {self.sequence.numbers[0]} "
+                          "(--preroll 0 leaves it out)")
         if self._arguments.on_error == OnError.STOP:
             self.sequence.refuse_holes(wanted)
         elif missing := [number for number in wanted if not self.sequence.holds(number)]:
             are = "is" if len(missing) == 1 else "are"
             progress.note(f"{len(missing)} of {len(wanted)} frames {are} missing, --on-error "
                           f"{self._arguments.on_error} goes on without: {format_frames(missing)}")
+        for text in self._first_look:
+            progress.note(f"warning  {text}")
         if self._smooth:
             progress.note("metering all frames first, for --exposure smooth")
 
@@ -320,7 +335,7 @@ class Job:
                         run.recall(work, frame)
                     continue
                 if frame is not None:
-                    self._look_once(frame, progress)
+                    self._look(frame, progress.note)
                     frame.reset = frame.reset or is_unseen
                     ahead = partial(self._look_ahead, frame, work.write, stop, progress)
                     frame = self._faults.attempt(work.number, work.write, ahead)
@@ -336,15 +351,35 @@ class Job:
                 run.end_frame(work.number, behind.wait, stop.is_requested)
                 stop.check()
 
-    def _look_once(self, frame: Frame, progress: FrameProgress) -> None:
-        """Tell what is plainly wrong with the planes of the first frame at once, not after a night."""
-        if self._first_look is not None or self._arguments.no_denoise:
-            return
-        from postfx.doctor.inspection import look_once  # loads the doctor, which other verbs' starts need not wait for
+    def _planes_of_later_frames(self) -> list[str]:
+        """A warning for planes that the first frame lacks and later ones have: the plan is made for the first."""
+        others = [number for number in self.sequence.numbers if number > self.first and self.sequence.holds(number)]
+        for number in dict.fromkeys([*others[:1], *others[len(others) // 2 :][:1], *others[-1:]]):
+            try:
+                with self.sequence.reader().open(number) as files:
+                    more = {*self.pipeline.explain(files.spec()).planes} - {*self.plan.planes, Role.MOTION}
+                    more |= {*files.layout.planes} & {Role.MOTION} - {*self._channels}
+            except PostfxError:  # which is told where the frame's turn comes
+                continue
+            if more:
+                names = " and ".join(sorted(map(str, more)))
+                return [f"frame {self.first} has no {names}, frame {number} does: no frame is denoised with it; render "
+                        f"it for all frames, or leave those without it out (--frames)"]
+        return []
 
-        self._first_look = look_once(frame, self._channels, not self.pipeline.device.memory.host_visible)
-        for text in self._first_look:
-            progress.note(f"warning  {text}")
+    @cached_property
+    def _looker(self) -> FirstFrames:
+        from postfx.doctor.first_frames import FirstFrames  # loads the doctor, which other verbs need not wait for
+
+        return FirstFrames(self._channels, self._enable, not self.pipeline.device.memory.host_visible)
+
+    def _look(self, frame: Frame, tell: Callable[[str], None]) -> None:
+        """Tell what is plainly wrong with the first frames at once, not after a night."""
+        if self._arguments.no_denoise or self.pipeline.device.scratch:
+            return
+        for text in self._looker.look(frame):
+            self._first_look.append(text)
+            tell(f"warning  {text}")
 
     def _look_ahead(self, frame: Frame, write: bool, stop: Stop, progress: FrameProgress) -> Frame:
         """The frame with what those after it make of it, for --both-ways."""
@@ -356,7 +391,14 @@ class Job:
         return self._backwards(frame, write, stop.check)
 
     def _read(self, run: Run, work: Work) -> Frame | None:
-        return self._faults.read(work.number, work.write, partial(self._read_checked, run, work.number))
+        read = partial(self._read_checked, run, work.number)
+        if work.number in self.sequence.numbers:
+            return self._faults.read(work.number, work.write, read)
+        try:
+            return read()
+        except PostfxError as error:  # of a frame that nobody asked for
+            self._warnings.append(f"the history begins after frame {work.number}: {error}")
+            return None
 
     def _read_checked(self, run: Run, number: int) -> Frame:
         read = partial(self.sequence.read, number, self.plan.planes, self._guides)
@@ -415,20 +457,25 @@ class Job:
             stops = [] if used is None else [f"exposure {log2(used):+.2f} EV"]
             progress.note(f"frame {number}: {', '.join([*spent, *stops]) or 'only its picture, enlarged'}")
 
-    def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False) -> tuple[list[Pass], list[Skip]]:
-        """The passes, the first with these options, or without a denoiser if they are None; and what is left out."""
+    def _passes(self, denoising: dict[str, Any] | None, both_ways: bool = False,
+                partner: str | None = None) -> tuple[list[Pass], list[Skip]]:
+        """The passes, the denoiser with these options, or without one if they are None; and what is left out."""
         passes, skips, parts = [], [], {"parts": self._parts} if self._parts else {}
         if denoising is None:
             skips.append(Skip("denoise_upscale", "--no-denoise"))
         else:
+            passes += [create("partner", of=partner)] if partner else []
             passes.append(create("denoise_upscale", **denoising, **parts))
         passes += [create("both_ways", **parts)] if both_ways else []
+        if denoising is not None and partner:
+            strength = denoising.get("strength")
+            passes.append(create("mix_partner", strength=1.0 if strength is None else strength, **parts))
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
         is_picture = self.outputs is not None and self.outputs.display
         shown, not_shown = make_display_passes(is_picture, **self._values("look"))
         asked = map(parse_pass, getattr(self._arguments, "pass") or ())
         chain = insert_passes([*passes, *shown], tuple(asked), len(passes))
-        if both_ways and chain[0].name != "denoise_upscale":
+        if both_ways and chain[0].name not in ("denoise_upscale", "partner"):
             raise OptionError(f"--both-ways denoises frames as they are in their files, before pass '{chain[0].name}': "
                               "let the pass run after=denoise_upscale, or leave --both-ways out")
         return chain, skips + not_shown

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import warnings
 from collections.abc import Collection, Sequence
 from importlib import import_module
 
@@ -42,6 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         import argcomplete
 
         argcomplete.autocomplete(make_parser())
+    warnings.filterwarnings("ignore", "the package onnxruntime is missing")  # the summary says so, once
     words = list(sys.argv[1:] if argv is None else argv)
     own = words.index("--") if words[:1] and words[0] in FORWARDING and "--" in words else len(words)
     try:

@@ -12,7 +12,7 @@ from postfx.cli.run_options import PRESETS, RUN
 from postfx.errors import PostfxError
 
 DESCRIPTION = """\
-Denoise, upscale and tone-map a rendered sequence.
+Denoise a rendered sequence at its own size; enlarge it with --scale, tone-map it with --tonemap.
 
 INPUT is a pattern like shot.####.exr, a folder or a file. EXR output stays scene-linear unless --tonemap is given. PNG,
 JPEG and TIFF output is tone-mapped and encoded for a display.
@@ -27,9 +27,9 @@ their own (--guides), or be planes of INPUT that are larger than the colour. The
 """
 EXAMPLES = """\
 examples:
-  postfx run shot/noisy.####.exr -o out/clean.####.exr                    # twice as large, scene-linear
+  postfx run shot/noisy.####.exr -o out/clean.####.exr                    # scene-linear, the render's size
   postfx run shot/noisy.####.exr -o out/picture.####.png                  # tone-mapped pictures
-  postfx run shot/noisy.####.exr -o out/clean.####.exr --denoise-only     # the render's own size
+  postfx run shot/noisy.####.exr -o out/large.####.exr --scale 2          # denoised and twice as large
   postfx run shot/noisy.####.exr -o out/clean.####.exr --preset final     # the cleanest
   postfx run shot/ -o out/ --skip-existing                                # go on after a stop
 
@@ -41,7 +41,7 @@ examples:
   postfx run shot/noisy.####.exr -o out/clean.####.exr
   postfx run shot/noisy.%04d.exr -o out/picture.%04d.png --frames 1-100x2
   postfx run shot/ -o out/ --skip-existing --scale 1.5
-  postfx run '~/shot/noisy.*.exr' -o '~/out/' --denoise-only
+  postfx run '~/shot/noisy.*.exr' -o '~/out/' --scale 2
   postfx run shot/dynamic.####.exr -o out/clean.####.exr --size 1920x1080
   postfx run shot/noisy.####.exr --guides shot/guides.####.exr -o out/clean.####.exr
   postfx run shot/noisy.%V.####.exr -o out/clean.%V.####.exr
@@ -51,7 +51,7 @@ examples:
   postfx run shot/noisy.####.exr -o out/clean.####.exr --leave 'auto,logo,glass_*=0.5'
   postfx run shot/noisy.####.exr -o out/clean.####.exr --aov key,fill,rim
   postfx run shot/adaptive.####.exr -o out/clean.####.exr --leave converged:0.01
-  postfx run shot/noisy.####.exr -o out/clean.####.exr --scale 1 --on-error copy
+  postfx run shot/noisy.####.exr -o out/clean.####.exr --on-error copy
   postfx run poster.exr -o out/ --memory 4G
   postfx run shot/noisy.####.exr -o out/layers.####.exr --overlay separate
   postfx run shot/noisy.####.exr --explain
@@ -92,6 +92,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Process the sequence; returns the exit code."""
     is_plan = arguments.explain or arguments.dry_run
+    if arguments.default_files and not arguments.quiet:
+        from postfx.files import make_printable
+
+        shown = f"{' '.join(arguments.defaults)} from {', '.join(arguments.default_files)}"
+        print(f"defaults {make_printable(shown)}", file=sys.stderr)
     if arguments.ray and not is_plan:
         from postfx.cli.chunks import run_on_ray
 

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "preview": {"model": "s", "run_up": 0},
-    "final": {"both_ways": True},
+    "preview": {"model": "s", "run_up": 0, "preroll": 0},
+    "final": {"both_ways": True, "with": "auto"},
     "animation": {"both_ways": True, "exposure": "smooth"},
 }
 """Preset -> option -> value; `--preset` says them in words."""
@@ -72,9 +72,10 @@ FRAMES = Section("frames", (
            help="keep output files that are complete, and continue from there with the same pixels"),
     Option(flag="--guides", once=True, metavar="GUIDES", sets="sequence.guides", is_file=True,
            help="frames of planes at output size, named like INPUT and numbered alike"),
-    Option(flag="--preroll", once=True, metavar="N|auto", type=_parse_preroll, sets="run.preroll", changes="nothing",
+    Option(flag="--preroll", once=True, metavar="N|auto", type=_parse_preroll, off=0, sets="run.preroll",
+           changes="nothing",
            help="frames to process without writing before the first one of the range, for a history; auto for those of "
-           "its shot, at most 96 (default: 0)"),
+           "its shot, at most 96 (default); 0 for none"),
     Option(flag="--on-error", choices=("stop", "skip", "copy"), default="stop", changes="nothing",
            help="what to do with a frame that cannot be read or processed: end the run (default), write no file, or "
            "only enlarge its picture. The last two go on, and the run exits with 3"),
@@ -191,6 +192,16 @@ def _find_network(tag: str) -> str:
     return tag
 
 
+def find_partner(words: str) -> str | None:
+    """The pass that --with names, and its options; None for none, and for auto where Open Image Denoise is not
+    installed."""
+    from postfx.oidn import is_installed
+
+    if words == "auto":
+        return "oidn" if is_installed() else None
+    return None if words == "none" else words
+
+
 def _list_passes() -> str:
     from postfx.passes.registry import describe_passes
 
@@ -199,13 +210,15 @@ def _list_passes() -> str:
 
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
-           help="preview: the fastest, --model s without a run-up; final: the cleanest, --both-ways; animation: as "
-           "clean, and steady in brightness, --both-ways --exposure smooth. Options that you give yourself win"),
+           help="preview: the fastest, --model s without run-up and preroll; final: the cleanest, --both-ways "
+           "--with auto; animation: as clean, and steady in brightness, --both-ways --exposure smooth. Options that "
+           "you give yourself win"),
     Option(flag="--scale", basic=True, metavar="S", type=float, either="size", sets="denoiser.scale",
            excludes=_FOR_DENOISER,
-           help="output size over render size, 1 to 3 (default: 2, or the size of the guides)"),
+           help="output size over render size, 1 to 3; 2 makes frames twice as large (default: 1, or the guides' "
+           "size)"),
     Option(flag="--denoise-only", basic=True, either="size", sets="denoiser.scale", convert=lambda _: 1.0,
-           excludes=_FOR_DENOISER, help="keep the render's size; the same as --scale 1"),
+           excludes=_FOR_DENOISER, help="keep the render's size also beside larger guides; the same as --scale 1"),
     Option(flag="--size", metavar="WxH", type=parse_size, either="size", sets="denoiser.size",
            excludes=_FOR_DENOISER,
            help="size of the output with all overscan, e.g. 1920x1080: frames may change their size between it and a "
@@ -224,6 +237,14 @@ DENOISING = Section("denoising and size", (
            },
            help="also denoise the sequence in reverse order and mix both results: cleaner frames, the first ones most; "
            "takes two to three times as long"),
+    Option(flag="--with", metavar="PASS[,OPTION=VALUE]", default="none", off="none",
+           excludes={
+               **_FOR_DENOISER,
+               "--budget": "--with runs another denoiser, --budget keeps to a time: give one of them",
+               "--memory": "--with runs another denoiser, --memory keeps to a size: give one of them",
+           },
+           help="run another denoiser, too, and mix both results: oidn (Open Image Denoise, of the extra 'oidn'), or "
+           "any pass that keeps the frame's size; auto for oidn where it is installed; none (default)"),
     Option(flag="--run-up", metavar="N", type=parse_count, off=0,
            excludes={
                "--no-denoise": "--run-up runs frames more than once, --no-denoise has no denoiser to run up: give one "

@@ -87,6 +87,12 @@ def describe_frames(sequence: Sequence) -> str:
     return f"{_frames(len(sequence))} ({format_frames(sequence.numbers)}{holes})"
 
 
+def describe_preroll(numbers: list[int]) -> str:
+    """Which frames run before those of the range."""
+    first, last = numbers[0], numbers[-1]
+    return f"frame {first} first, unwritten," if first == last else f"frames {first} to {last} first, unwritten,"
+
+
 def describe_sizes(plan: Plan, sequence: Sequence) -> str:
     """Size of the input, and of the output as its display window has it."""
     render, output = plan.available, sequence.shown_size(plan.output.width, plan.output.height)

@@ -27,7 +27,7 @@ Frames that exist already come first. Nothing looks ahead here, so a shot's firs
 EXAMPLES = """\
 examples:
   postfx watch render/ -o preview/
-  postfx watch 'render/beauty.####.exr' -o preview/p.####.png -- --denoise-only --model s
+  postfx watch 'render/beauty.####.exr' -o preview/p.####.png -- --model s
   postfx watch render/ -o preview/ --until 240 --idle 600
 
 exit codes: 0 the last frame of --until is done, or no frame came for --idle seconds; 2 an error whose message says how
@@ -72,7 +72,7 @@ def execute(arguments: argparse.Namespace) -> int:
             begin = time.perf_counter()
             try:
                 job = job or _make_job(arguments, arrivals.pattern, number)
-                path = job.preview(number, arguments.step)
+                path = job.preview(number, arguments.step, tell)
             except ReadError as error:
                 arrivals.refuse(number, str(error))
                 continue

@@ -137,7 +137,10 @@ def is_lut(text: str) -> bool:
 @cache
 def _config(name: str) -> oiio.ColorConfig:
     config = oiio.ColorConfig(name)
-    problem = config.geterror()
+    try:
+        problem = config.geterror()
+    except UnicodeDecodeError:
+        problem = "it holds bytes that are no text"
     if problem or not config.getDisplayNames():
         raise ColourError(f"{name}: not a readable OpenColorIO config: {problem or 'it has no displays'}")
     if INTERCHANGE not in config.getRoles():
@@ -180,8 +183,9 @@ def _apply(apply: Apply, colours: np.ndarray, what: str) -> np.ndarray:
     image = oiio.ImageBuf(np.ascontiguousarray(colours.reshape(-1, 1, 3), np.float32))
     try:
         result = apply(image)
-    except RuntimeError as error:  # OpenImageIO raises it if OpenColorIO's message has braces in it
+        problem = result.geterror() if result.has_error else None
+    except (RuntimeError, UnicodeDecodeError) as error:  # the message has braces, or bytes of the file that are no text
         raise ColourError(f"{what}: cannot be read as a colour transform") from error
-    if result.has_error:
-        raise ColourError(f"{what}: {result.geterror().splitlines()[0]}")
+    if problem is not None:
+        raise ColourError(f"{what}: {problem.splitlines()[0]}")
     return np.asarray(result.get_pixels("float")).reshape(colours.shape).astype(np.float64)

@@ -106,30 +106,6 @@ GUIDE_CHECKS: tuple[Check, ...] = (*VALUE_CHECKS, plane_checks.check_enlarged_pl
 """Checks that also make sense for the guides of a single frame."""
 
 
-FIRST_LOOK: tuple[Check, ...] = (
-    plane_checks.check_light_outside,
-    plane_checks.check_uniform_planes,
-    geometry_checks.check_depth_misses,
-    geometry_checks.check_normal_encoding,
-    geometry_checks.check_roughness_range,
-    motion_checks.check_motion_coded,
-)
-"""Checks that take no more than one frame and a few milliseconds, for those who run before they inspect."""
-
-
-def look_once(frame: Frame, channels: Mapping[Role, str], on_gpu: bool = False) -> list[str]:
-    """What is plainly wrong with the planes of a frame, a line each: errors and warnings of `FIRST_LOOK`.
-
-    Args:
-        channels: role -> the plane's names in the file.
-        on_gpu: whether it is denoised there, where light outside the gamut is cut.
-    """
-    found = [finding for check in FIRST_LOOK for finding in check(Material([frame]))]
-    return [f"plane {one.role} ({channels.get(Role(one.role), 'no name')}), frame {frame.number}: {one.evidence}; "
-            f"likely: {one.cause}; fix: {one.fix}" for one in most_important_first(found)
-            if one.level is not Level.INFO or (on_gpu and one.code == plane_checks.OUTSIDE_GAMUT)]
-
-
 def examine(material: Material) -> list[Finding]:
     """Findings of all checks, the most important first; evidence about guides begins with 'guides:'."""
     found = [finding for check in (*SEQUENCE_CHECKS, *VALUE_CHECKS) for finding in check(material)]
@@ -148,6 +124,10 @@ def _findings_of_guides(frame: Frame) -> Iterator[Finding]:
         for finding in check(Material([guides])):
             if finding.level is not Level.INFO:
                 yield replace(finding, evidence=f"guides: {finding.evidence}")
+
+
+MADE_OR_RARE = (Role.LATER, Role.PARTNER, Role.DENOISING_ALBEDO)
+"""Planes that passes make, or that few can do with: nobody misses them."""
 
 
 class Inspection:
@@ -205,7 +185,7 @@ class Inspection:
             "guides": _guides(frame, self._reading),
             "missing": [
                 {"role": str(role), "fix": material.enable.get(role, "")}
-                for role in Role if role not in frame and role not in (*ERROR_ROLES, Role.LATER)
+                for role in Role if role not in frame and role not in (*ERROR_ROLES, *MADE_OR_RARE)
             ],
             "unread": material.other_layers,
             "header": _header(frame),
@@ -351,6 +331,8 @@ _MAPPINGS: Mapping[Role, Callable[[np.ndarray], np.ndarray]] = {
     Role.COLOUR: _light,
     Role.OVERLAY: _light,
     Role.LATER: _light,
+    Role.PARTNER: _light,
+    Role.DENOISING_ALBEDO: srgb_encode,
     Role.OPAQUE_COLOUR: _light,
     Role.DIFFUSE_ALBEDO: srgb_encode,
     Role.SPECULAR_ALBEDO: srgb_encode,

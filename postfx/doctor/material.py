@@ -39,6 +39,7 @@ class Material:
         measured: numbers of the frames that were measured: `frames` and some of the rest of the sequence.
         unread: layers that may be motion; empty if a profile reads motion.
         read_motion: how the file's motion is read, if it is.
+        whole: width and height of the pictures that the frames are windows of, if they are.
         other_layers: what the first frame's files hold beside the planes: 'AO.R,G,B'.
     """
 
@@ -51,6 +52,7 @@ class Material:
     unread: list[UnreadMotion] = field(default_factory=list)
     read_motion: ReadMotion | None = None
     other_layers: list[str] = field(default_factory=list)
+    whole: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         self.stored = {role: sum_values(count_values(frame[role]) for frame in self.frames if role in frame)
@@ -84,7 +86,7 @@ class Material:
     @cached_property
     def pair_scores(self) -> list[PairScores]:
         """Scores of the motion's variants for each pair that has motion and contrast."""
-        return [warped for pair in self.pairs[:MOST_PAIRS] if (warped := warp_pair(*pair))]
+        return [warped for pair in self.pairs[:MOST_PAIRS] if (warped := warp_pair(*pair, self.whole))]
 
     @cached_property
     def shots(self) -> list[PairScores]:
@@ -130,7 +132,7 @@ def read_material(sequence: Sequence) -> Reading:
         others = files.unread()
         unread = {layer: [pixels] for layer, pixels in _read_pairs(files).items()}
         names = {layer: _letters(channels) for layer, channels in files.unread_motion().items()}
-    material = Material(frames, {}, {role: hint for role in Role if (hint := _hint(layout, role))}, other_layers=others)
+    material = Material(frames, {}, layout.hints(), other_layers=others)
     most = max(2, min(MOST_FRAMES, MOST_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
     ranges = [_ranges(frames[0])]
     numbers = _consecutive(sequence, most)
@@ -223,10 +225,6 @@ def _change_rules(files: FrameFiles, **changes: Any) -> None:
 
 def _change(match: Match, changes: dict[str, Any]) -> Match:
     return match._replace(rule=replace(match.rule, **changes))
-
-
-def _hint(layout: Layout, role: Role) -> str:
-    return next((rule.enable for rule in layout.profile.rules(role) if rule.enable), "")
 
 
 SHOWN = 3

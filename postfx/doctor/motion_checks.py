@@ -59,6 +59,18 @@ def check_motion_variant(material: Material) -> Iterator[Finding]:
     if best is None:
         yield from _by_other_means(material, shots)
         return
+    yield from _of_variant(material, shots, best)
+
+
+def check_motion_at_a_glance(material: Material) -> Iterator[Finding]:
+    """Vectors of the wrong sign, axes or unit: the part of `check_motion_variant` that takes little time."""
+    shots = [warped for warped in material.shots if warped.moved > 0]
+    best = best_variant(shots) if shots else None
+    if best and best.code not in JITTER_CODES:
+        yield from _of_variant(material, shots, best)
+
+
+def _of_variant(material: Material, shots: list[PairScores], best: Variant) -> Iterator[Finding]:
     if best.code in JITTER_CODES and (unit := _unit_by_cameras(_camera_fits(material, shots), shots)):
         yield unit  # without its motion, a picture seems to move by the jitter alone
         return
@@ -363,8 +375,9 @@ def check_jitter_missing(material: Material) -> Iterator[Finding]:
                       "y down")
 
 
-def check_samples_repeat(material: Material) -> Iterator[Finding]:
-    """Noise that stays in its place while the picture moves, or does not change at all."""
+def check_samples_repeat(material: Material, least: float = REPEATED) -> Iterator[Finding]:
+    """Noise that stays in its place while the picture moves, or does not change at all. least: how much more it is
+    correlated in the same pixel than nearby."""
     pairs = [(a, b) for a, b in material.pairs if Role.COLOUR in a and Role.COLOUR in b]
     if pairs and all(_identical(*pair) for pair in pairs):
         noise = noise_level(pairs[0][0][Role.COLOUR])
@@ -378,7 +391,7 @@ def check_samples_repeat(material: Material) -> Iterator[Finding]:
                        "it needs motion of more than a pixel", "give frames in which the camera moves")
         return
     same, elsewhere = np.mean([value[0] for value in found]), np.mean([value[1] for value in found])
-    if same - elsewhere > REPEATED:
+    if same - elsewhere > least:
         evidence = (f"noise of consecutive frames is {same:.2f} correlated in the same pixel where the picture moves, "
                     f"{elsewhere:.2f} in pixels next to it")
         yield error(Role.COLOUR, "samples-correlated", evidence, *ONE_SEED)

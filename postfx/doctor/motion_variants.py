@@ -203,6 +203,7 @@ class PairScores:
 
     Attributes:
         before, now: the frames.
+        size: width and height of the pictures that they are, or are windows of.
         features: the planes that they were compared by.
         scores: variant -> score; infinite if most of the picture comes from outside.
         by_role: variant -> role -> score of that plane.
@@ -212,6 +213,7 @@ class PairScores:
 
     before: Frame
     now: Frame
+    size: Size
     features: list[Feature]
     scores: dict[Variant, float] = field(default_factory=dict)
     by_role: dict[Variant, dict[Role, float]] = field(default_factory=dict)
@@ -226,9 +228,8 @@ class PairScores:
 
     def errors(self, variants: Sequence[Variant]) -> dict[Role, np.ndarray]:
         """Role -> errors (count,) of that plane, of variants."""
-        spec, (x, y) = self.now.spec, self.jitter
-        size, jitter = (spec.width, spec.height), (float(x), float(y))
-        return {feature.role: _errors_of_variants(feature, variants, size, jitter) for feature in self.features}
+        jitter = float(self.jitter[0]), float(self.jitter[1])
+        return {feature.role: _errors_of_variants(feature, variants, self.size, jitter) for feature in self.features}
 
     @property
     def as_it_is(self) -> float:
@@ -241,12 +242,13 @@ class PairScores:
         return min(self.scores.values()) < RELATED * self.unrelated
 
 
-def warp_pair(before: Frame, now: Frame) -> PairScores | None:
-    """Scores of all variants; None without motion or without contrast."""
+def warp_pair(before: Frame, now: Frame, size: Size | None = None) -> PairScores | None:
+    """Scores of all variants; None without motion or without contrast. size: of the pictures that these are windows
+    of, if they are."""
     features = features_of(before, now) if Role.MOTION in now else []
     if not features:
         return None
-    result = PairScores(before, now, features)
+    result = PairScores(before, now, size or (now.spec.width, now.spec.height), features)
     result.moved = float(np.linalg.norm(finite(now[Role.MOTION]), axis=-1).mean())
     colour_like = is_like_colour(now)
     tried = [variant for variant in VARIANTS if colour_like or not variant.is_colour]

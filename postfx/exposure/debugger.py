@@ -26,7 +26,6 @@ from postfx.exposure.response import (
     Response,
     calibrate,
     is_built_in,
-    known_curves,
 )
 from postfx.frame import Frame, Role
 from postfx.passes import Pass
@@ -102,7 +101,8 @@ class Report:
     Attributes:
         grey: level of mid grey at the right exposure.
         limits_ev: smallest and largest mismatch that the level can show; a mismatch at a limit may be larger.
-        curve: the curve that levels were compared with: the view's, a known one, or the chain's own.
+        curve: whose curve levels were compared with: the view's or the chain's own.
+        remark: what else that curve shows; it never changes a verdict.
     """
 
     readings: list[Reading]
@@ -110,6 +110,7 @@ class Report:
     grey: float
     limits_ev: tuple[float, float]
     curve: str = VIEW
+    remark: str | None = None
 
     @property
     def verdict(self) -> str:
@@ -135,8 +136,8 @@ def debug(
         chain: the passes after the upscaler, if they are not `view`.
 
     Passes of your own are judged by their own response, sampled on a ramp of light at 0 EV, so any curve is right if it
-    applies the exposure that it is told. A curve that is the view's or a known one (`known_curves`), but brighter
-    throughout, is a mistake, too.
+    applies the exposure that it is told. A `chain` with the curve of `view` is judged by `view`: a gain over it is a
+    mistake, too. A gain over a known curve is a remark.
 
     Raises ExposureError if a mode has no exposure for a frame, or if there is no frame.
     """
@@ -182,15 +183,12 @@ def judge_view(view: Sequence[Pass], device: Device | None = None) -> Calibratio
 
 
 def _judge_chain(view: Sequence[Pass], seen: Board, tested: Board) -> Calibration:
-    """A built-in view is right by definition, and so is a chain with its curve; others have their own curve."""
+    """A chain with the view's curve is judged by the view, gain included; any other one by its own response."""
     response = Response.of_board(tested)
-    if is_built_in(view):
-        shown = response if tested is seen else Response.of_board(seen)
-        if tested is seen or response.gain_over(shown) is not None:
-            return Calibration(shown, VIEW)
-    elif tested is not seen:
-        return calibrate(response, {VIEW: Response.of_board(seen)})
-    return calibrate(response, known_curves() | ({} if tested is seen else {VIEW: Response.of_board(seen)}))
+    if tested is seen:
+        return Calibration(response, VIEW) if is_built_in(view) else calibrate(response)
+    shown = Response.of_board(seen)
+    return calibrate(response) if response.gain_over(shown) is None else Calibration(shown, VIEW)
 
 
 class _Frame(NamedTuple):
@@ -239,7 +237,8 @@ def _report(frames: Sequence[_Frame], levels: Sequence[float], judged: Calibrati
                         mismatch, wanted)
                 for frame, level, mismatch, wanted in zip(frames, levels, found, expected, strict=True)]
     judged_shots = [_judge(readings[shot]) for shot in shots([item.cut for item in readings])]
-    return Report(readings, judged_shots, judged.response.grey, judged.response.limits_ev, judged.curve)
+    return Report(readings, judged_shots, judged.response.grey, judged.response.limits_ev, judged.curve,
+                  judged.remark)
 
 
 class _Mode:

@@ -36,6 +36,8 @@ FLAT = 0.02
 """A response whose levels differ by less does not show the exposure."""
 ALIKE = 0.01
 """Two responses are one curve, shifted by a gain, if no level differs by more than this."""
+SAME_GAIN_EV = 0.05
+"""A gain that is not worth a remark."""
 SHIFTS_EV = np.arange(-6.0, 6.001, 0.01)
 TELLING = (0.03, 0.97)
 """Levels between which curves differ; near black and white all are alike."""
@@ -78,7 +80,6 @@ class Response:
     Args:
         ev: stops, rising.
         levels: levels of the board at these stops. Where levels fall, the curve stays at the highest before.
-        gain_ev: stops by which the chain is too bright throughout, if known.
 
     Attributes:
         grey: level of the board at the right exposure.
@@ -87,12 +88,12 @@ class Response:
     Raises ExposureError if all levels are alike.
     """
 
-    def __init__(self, ev: np.ndarray, levels: Iterable[float], gain_ev: float = 0.0) -> None:
+    def __init__(self, ev: np.ndarray, levels: Iterable[float]) -> None:
         self._levels, rising = np.unique(np.maximum.accumulate([*levels]), return_index=True)
         if np.ptp(self._levels) < FLAT:
             raise ExposureError(f"the chain shows light of any brightness at the same level, {self._levels[0]:.0%} of "
                                 "the signal: it meters for itself: switch that off, and give it the frame's exposure")
-        self._ev = ev[rising] + gain_ev
+        self._ev = ev[rising]
         self.grey = self.level_at(0.0)
         self.limits_ev = float(self._ev[0]), float(self._ev[-1])
 
@@ -106,10 +107,6 @@ class Response:
         """The response of a function of exposed light (n,) to levels (n,) 0..1."""
         dark, light = (np.clip(curve(KEY * np.exp2(STEPS_EV + stops)), 0, 1) for stops in (-STOPS, STOPS))
         return cls(STEPS_EV, (dark + light) / 2)
-
-    def with_gain(self, gain_ev: float) -> Response:
-        """The same levels, for a chain that is too bright by `gain_ev` stops throughout."""
-        return Response(self._ev, self._levels, gain_ev)
 
     def level_at(self, ev: float) -> float:
         """Level of mid grey that is `ev` stops too bright."""
@@ -170,22 +167,35 @@ class Calibration(NamedTuple):
     """The response that a chain is judged by.
 
     Attributes:
-        response: response of the chain, with its gain over a known curve.
-        curve: name of that curve; `OWN_CURVE` if it is not a known one: then a constant gain counts as a look.
+        response: the truth: light at the right exposure has its levels.
+        curve: whose response it is, `OWN_CURVE` or `VIEW`.
+        remark: what else the response shows. It never changes a verdict.
     """
 
     response: Response
     curve: str
+    remark: str | None = None
 
 
-def calibrate(own: Response, known: Mapping[str, Response]) -> Calibration:
-    """Judge a chain by its own response, and by its gain over the known curve of the same shape; of several such curves
-    by the smallest gain."""
-    gains = {name: gain for name, other in known.items() if (gain := own.gain_over(other)) is not None}
+def calibrate(own: Response, known: Mapping[str, Response] | None = None) -> Calibration:
+    """Judge a chain by its own response, which is the truth: what else is measured is compared with it.
+
+    A response that is a known curve but for a gain has a remark. It is no mistake: curves of different authors may be
+    one curve at two exposures, so a gain is as likely a part of the look.
+
+    known: responses by name; default `known_curves()`.
+    """
+    others = known_curves() if known is None else known
+    gains = {name: gain for name, other in others.items() if (gain := own.gain_over(other)) is not None}
     if not gains:
         return Calibration(own, OWN_CURVE)
     name = min(gains, key=lambda name: abs(gains[name]))
-    return Calibration(own.with_gain(gains[name]), name)
+    gain = gains[name]
+    if abs(gain) <= SAME_GAIN_EV:
+        return Calibration(own, OWN_CURVE, f"its curve is that of {name}")
+    brighter = "brighter" if gain > 0 else "darker"
+    return Calibration(own, OWN_CURVE, f"its curve is like that of {name}, {abs(gain):.2f} EV {brighter} throughout: "
+                                       "this counts as its look, not as a mistake")
 
 
 def is_built_in(passes: Sequence[Pass]) -> bool:
@@ -228,7 +238,7 @@ def read_response(path: str | PathLike[str]) -> Calibration:
         raise ExposureError(f"{path}: gets darker where the chart gets brighter: give the chart that --chart wrote, "
                             "after the tone mapper and nothing else")
     board = (steps[:-2] + steps[2:]) / 2  # the board's greys are a quarter stop below and above
-    return calibrate(Response(STEPS_EV[1:-1], board), known_curves())
+    return calibrate(Response(STEPS_EV[1:-1], board))
 
 
 class GradedBoards:

@@ -149,6 +149,20 @@ class ChannelIndex:
                 return found
         return []
 
+    def find_lone_picture(self) -> str | None:
+        """The one layer with R, G and B, or else the only layer, with Y, unless its name tells of something else; None
+        where there is none or a choice."""
+        layers = [layer for layer in self.layers_like("*", whole=True)
+                  if not _DATA.search(layer) and not is_plane_word(layer.rpartition(".")[2])]
+        coloured: dict[tuple[Channel, ...], str] = {}  # a layer also goes by its part's name before its own
+        for layer in layers:
+            if channels := self.find(f"{layer}.{letter}" for letter in "RGB"):
+                coloured.setdefault(channels, layer)
+        if coloured:
+            return next(iter(coloured.values())) if len(coloured) == 1 else None
+        only = layers[0] if len(self.layers_like("*", whole=True)) == 1 and layers else None
+        return only if only and self.find([f"{only}.Y"]) else None
+
     def pairs_like(self, pattern: re.Pattern[str]) -> Iterator[tuple[str, tuple[Channel, ...]]]:
         """Layers whose full name a pattern is found in, and their channels x and y, or the like."""
         seen: set[tuple[Channel, ...]] = set()  # a layer also goes by its part's name before its own

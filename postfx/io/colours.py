@@ -174,7 +174,7 @@ class InputColours:
         if not is_silent(attributes):
             return space_by_id(str(attributes[INTEROP]))
         found = np.ravel(attributes.get(PRIMARIES, ()))
-        if found.size == 8 and found.dtype.kind in "if":
+        if found.size == 8 and found.dtype.kind in "if" and found.any():
             return space_by_primaries(round_to_known(tuple(map(float, found))))
         return space_by_primaries(REC709)
 
@@ -212,8 +212,13 @@ def gather_attributes(own: Mapping[str, Any], others: Iterable[Mapping[str, Any]
     """What headers of a file say of the colours in one part: its own, and an identifier of other parts where it has
     none."""
     speaking = next((header for header in (own, *others) if not is_silent(header)), own)
-    found = {name: own[name] for name in COLOUR_ATTRIBUTES if name in own}
+    found = {name: own[name] for name in COLOUR_ATTRIBUTES if name in own and is_given(name, own[name])}
     return found | ({INTEROP: speaking[INTEROP]} if INTEROP in speaking else {})
+
+
+def is_given(name: str, value: Any) -> bool:
+    """Whether an attribute says anything: programs write primaries of zeros where they know none."""
+    return name != PRIMARIES or bool(np.any(value))
 
 
 def parse_colourspace(text: str | None) -> InputColours:

@@ -10,7 +10,6 @@ import io
 import os
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from enum import StrEnum
 from functools import cache
@@ -32,6 +31,7 @@ from postfx.io.exr.passthrough import merge_source
 from postfx.io.exr.views import View, merge_views
 from postfx.io.windows import Pixels
 from postfx.kernels.pixel_formats import dither_rows, halve, look_up, paeth
+from postfx.system import Workers
 
 _STEPS = 1 << 16
 
@@ -314,7 +314,7 @@ def _write_jpeg(path: Path, suffix: str, spec: oiio.ImageSpec, convert: Pixels,
             path.write_bytes(made.read_bytes())
         return
     reading, writing = os.pipe()
-    with ThreadPoolExecutor(1) as reader:
+    with Workers(1) as reader:
         content = reader.submit(read_to_end, reading, 4 * spec.image_bytes() + (1 << 16))
         try:
             _encode(Path(f"/dev/fd/{writing}"), suffix, spec, convert, relax)

@@ -10,7 +10,6 @@ flow is kept where it explains the pictures clearly better: things that move.
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, value_at
 from postfx.io.convert import SEEN, camera_equations, centre_positions, fit_camera
 from postfx.kernels.numeric import Real, compiled
-from postfx.system import usable_cores
+from postfx.system import Workers, usable_cores
 
 MOST = 640
 """Pixels of a picture's longer side; larger frames are halved, or taken in thirds, and so on."""
@@ -92,7 +91,7 @@ def motion_between(before: Picture | None, after: Picture, depth: np.ndarray | N
     at_rest = _misfit(one, other, rest)
     if not at_rest.any():
         return still
-    with ThreadPoolExecutor(min(2, usable_cores())) as threads:
+    with Workers(min(2, usable_cores())) as threads:
         flow, back = threads.map(estimate_motion, (one, other), (other, one))
     by_flow = _misfit(one, other, flow)
     found = None if depth is None else _camera(one, other, consistent_motion(flow, back)[0], depth, step)

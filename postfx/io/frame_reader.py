@@ -15,10 +15,10 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.errors import MissingPlaneError, ReadError
-from postfx.files import file_threads, run_in_order
+from postfx.files import file_threads, make_printable, run_in_order
 from postfx.frame import ROLES, ColourSource, Frame, FrameSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
-from postfx.io.colours import INTEROP, gather_attributes
+from postfx.io.colours import INTEROP, gather_attributes, is_given
 from postfx.io.convert import SEEN, Camera, DepthOption, convert, fill_background_motion, fill_value
 from postfx.io.exr.container import rows_of_task
 from postfx.io.image_file import ImageFile
@@ -363,6 +363,11 @@ class FrameFiles:
             raise MissingPlaneError(f"{self.path}: no layer '{self._layer}': it holds {known}")
         chosen = load_profile(profile) if profile else None
         layout = make_layout(index, self._attributes(), chosen, depth, self._without, self._layer)
+        lone = None if Role.COLOUR in {*layout.planes, *self._without} or self._layer else index.find_lone_picture()
+        if lone:
+            index = ChannelIndex(self._files, self._view, lone)
+            layout = make_layout(index, self._attributes(), chosen, depth, self._without)
+            layout.warnings.append(f"layer {make_printable(lone)} is read as the picture: no other holds colours")
         others = [view for view in index.views[1:] if self._holds_colour(view, layout.profile)]
         self.views = (index.views[0], *others) if others else ()
         return index, layout
@@ -401,7 +406,9 @@ class FrameFiles:
         channel = colour.channels[0]
         others = (part.attributes for part in channel.file.parts)
         found = gather_attributes(channel.part.attributes, others)
-        return {name: value for name, value in self.layout.attributes.items() if name != INTEROP} | found
+        kept = {name: value for name, value in self.layout.attributes.items()
+                if name != INTEROP and is_given(name, value)}
+        return kept | found
 
     def _open_guides(
         self, paths: Mapping[str, Path], profile: str | None, depth: DepthOption | None

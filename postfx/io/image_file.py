@@ -307,7 +307,8 @@ def parse_header(start: bytes, path: Path) -> RadianceHeader:
         elif key == "COLORCORR":
             exposure = exposure * _numbers(value, 3, line, path)
         elif key == "PRIMARIES":
-            primaries = tuple(_numbers(value, 8, line, path))
+            given = _numbers(value, 8, line, path)
+            primaries = tuple(given) if given.any() else None  # Photoshop writes zeros where it knows none
         elif key == "FORMAT" and value.strip() == "32-bit_rle_xyze":
             raise ReadError(f"{path}: holds CIE XYZ, which is not read: convert it to RGB first, with 'ra_xyze -r -u'")
     if not ((exposure > 1 / _MOST) & (exposure < _MOST)).all():

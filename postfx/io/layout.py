@@ -19,10 +19,21 @@ from postfx.io.convert import Camera, DepthOption, missing_error, missing_number
 from postfx.io.profile import DetectRule, PlaneRule, Profile, load_profile, profile_names
 from postfx.io.windows import PICTURE
 
-_PICTURE_RULES = (
-    PlaneRule(Role.COLOUR, ("",), (("R", "G", "B"),)),
-    PlaneRule(Role.ALPHA, ("",), (("A",),)),
-)
+
+def _picture_rules(told: str) -> tuple[PlaneRule, ...]:
+    """Rules for a picture that an earlier run wrote: under its own names, if these are not plain R, G, B."""
+    names = told.split(",")
+    red = next((name for name in names if name.rpartition(".")[2] in _ALPHAS), "")
+    layer, _, letter = red.rpartition(".")
+    if not layer or {"R", "G", "B"} <= {*names}:
+        layer, letter = "", "R"
+    letters = next(tuple(word) for word in _COLOURS if word[0] == letter)
+    return (PlaneRule(Role.COLOUR, (layer,), (letters,)), PlaneRule(Role.ALPHA, (layer,), ((_ALPHAS[letter],),)))
+
+
+_COLOURS = (("R", "G", "B"), ("r", "g", "b"), ("red", "green", "blue"), ("Red", "Green", "Blue"),
+            ("RED", "GREEN", "BLUE"))
+_ALPHAS = {"R": "A", "r": "a", "red": "alpha", "Red": "Alpha", "RED": "ALPHA"}
 
 
 class Match(NamedTuple):
@@ -62,6 +73,11 @@ class Layout:
     """Channels that no later rule may take either, as they are in a space that cannot be left."""
     chosen_layer: str | None = None
     """The view layer that was chosen among several; None if there are not several."""
+
+    def hints(self) -> dict[Role, str]:
+        """Role -> where the user switches the plane on in the renderer, of those of which that is known."""
+        rules = ((role, [rule.enable for rule in self.profile.rules(role) if rule.enable]) for role in Role)
+        return {role: hints[0] for role, hints in rules if hints}
 
 
 class Header:
@@ -121,7 +137,7 @@ def make_layout(
     """
     profile = profile or _detect(index, attributes)
     if PICTURE in attributes:
-        profile = replace(profile, planes=_PICTURE_RULES + profile.planes)
+        profile = replace(profile, planes=_picture_rules(str(attributes[PICTURE])) + profile.planes)
     layers = _distinct(index, _layers(index.names, profile), profile.marker)
     named = [name for name in layers if layer is not None and name.rstrip(".").lower() == layer.lower()]
     found = [_match_all(index, Layout(profile, name, {}, Camera(), attributes), depth, without)
@@ -199,6 +215,8 @@ def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: boo
     found = [channels for names in _candidates(layout, rule) if (channels := _find(index, layout, rule, names))]
     channels = next((channels for channels in found if channels not in layout.barred), None)
     if channels is None or index.find(name.replace("{layer}", layout.layer) for name in rule.requires) is None:
+        return
+    if any(index.find([name.replace("{layer}", layout.layer)]) is not None for name in rule.without):
         return
     match = Match(rule, channels)
     if rule.role is Role.NORMAL and rule.space != "world" and layout.camera.world_to_camera is None:

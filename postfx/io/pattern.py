@@ -40,11 +40,15 @@ MOST_FOLDERS = 4096
 
 @dataclass(frozen=True)
 class Pattern:
-    """File name before and after the frame number, and the least count of digits; `digits` None: no number at all."""
+    """File name before and after the frame number, and the least count of digits; `digits` None: no number at all.
+
+    `folder` is a path that stands before `prefix` and is taken as it is written, whatever signs are in it.
+    """
 
     prefix: str
     suffix: str = ""
     digits: int | None = None
+    folder: str = ""
 
     @property
     def is_numbered(self) -> bool:
@@ -73,55 +77,71 @@ class Pattern:
         if self.digits is not None:
             sign = "-" if number < 0 else ""
             name = f"{self.prefix}{sign}{abs(number):0{self.digits}d}{self.suffix}"
-        return Path(name.replace(PLANE, plane))
+        return Path(self.folder + name.replace(PLANE, plane))
 
     def plane_of(self, other: Pattern) -> str | None:
         """Word that stands in another pattern where this one has {plane}; None when they differ elsewhere."""
-        regex = re.escape(self.prefix).replace(re.escape(PLANE), r"(?P<plane>[^./]+)", 1)
-        match = re.fullmatch(regex, other.prefix)
+        name = re.escape(self.prefix).replace(re.escape(PLANE), r"(?P<plane>[^./]+)", 1)
+        match = re.fullmatch(re.escape(self.folder) + name, other.folder + other.prefix)
         same = self.suffix == other.suffix and self.is_numbered == other.is_numbered
         return match["plane"] if match and same else None
 
     def find_frames(self) -> dict[int, dict[str, Path]]:
         """Frames of one view on the disk: number -> plane word ('' where one file holds all planes) -> file."""
+        return self._look()[0]
+
+    def find_overlooked(self) -> list[Path]:
+        """Files that would be frames of it if their numbers had more digits."""
+        return self._look()[1]
+
+    def _look(self) -> tuple[dict[int, dict[str, Path]], list[Path]]:
+        """Both of these. Numbers of fewer digits count where no number begins with a zero: nothing pads them there."""
+        regex, least = self._regex(least=1), self.digits or 0
+        found = [match for name in sorted(_glob(self._make_wildcards())) if (match := regex.fullmatch(name))]
+        numbers = [match.groupdict().get("number") or "1" for match in found]
+        are_padded = any(number.lstrip("-").startswith("0") for number in numbers if len(number) >= least)
         frames: dict[int, dict[str, Path]] = {}
-        regex = self._regex()
-        for name in sorted(_glob(self._make_wildcards())):
-            match = regex.fullmatch(name)
-            if match:
-                words = match.groupdict()
-                planes, word = frames.setdefault(int(words.get("number") or 1), {}), words.get("plane") or ""
-                if word in planes:
-                    raise SequenceError(f"{planes[word]} and {Path(name).name}: both are frame {words.get('number')}: "
-                                        "remove one of them")
-                planes[word] = Path(name)
-        return dict(sorted(frames.items()))
+        overlooked: list[Path] = []
+        for number, match in zip(numbers, found, strict=True):
+            path = Path(match.group())
+            if are_padded and len(number) < least:
+                overlooked.append(path)
+                continue
+            planes, word = frames.setdefault(int(number), {}), match.groupdict().get("plane") or ""
+            if word in planes:
+                raise SequenceError(f"{planes[word]} and {path.name}: both are frame {number}: remove one of them")
+            planes[word] = path
+        return dict(sorted(frames.items())), overlooked
 
     def includes(self, path: Path) -> bool:
         """Whether a file, there or not, would be found as a frame."""
-        folder, name = os.path.split(self.prefix)
-        resolved = Pattern(_join(os.path.realpath(folder), name), self.suffix, self.digits)
+        inner, name = os.path.split(self.prefix)
+        if PLANE in inner or VIEW in inner:
+            inner, name = "", self.prefix
+        resolved = replace(self, prefix=name, folder=_join(os.path.realpath(self.folder + inner), ""))
         return resolved._regex().fullmatch(_join(os.path.realpath(path.parent), path.name)) is not None
 
     def _make_wildcards(self) -> str:
         """Wildcards that fit its files, and others."""
         number = "*" if self.is_numbered else ""
         name = glob.escape(self.prefix) + number + glob.escape(self.suffix)
-        return name.replace(PLANE, "*").replace(VIEW, "*")
+        return glob.escape(self.folder) + name.replace(PLANE, "*").replace(VIEW, "*")
 
-    def _regex(self) -> re.Pattern[str]:
+    def _regex(self, least: int | None = None) -> re.Pattern[str]:
+        """What fits its files, or those whose numbers have at least so many digits."""
         # programs that count the minus among the digits write frame -3 of #### as -003
         number = ""
         if self.digits is not None:
-            number = rf"(?P<number>\d{{{self.digits},}}|-\d{{{max(1, self.digits - 1)},}})"
+            count = least or self.digits
+            number = rf"(?P<number>\d{{{count},}}|-\d{{{max(1, count - 1)},}})"
         name = re.escape(self.prefix) + number + re.escape(self.suffix)
         for word in (PLANE, VIEW):
             group = word.strip("{}")
             name = name.replace(re.escape(word), rf"(?P<{group}>[^./]+)", 1).replace(re.escape(word), f"(?P={group})")
-        return re.compile(name, re.ASCII)
+        return re.compile(re.escape(self.folder) + name, re.ASCII)
 
     def __str__(self) -> str:
-        return self.prefix + "#" * (self.digits or 0) + self.suffix
+        return self.folder + self.prefix + "#" * (self.digits or 0) + self.suffix
 
 
 def _join(folder: str, name: str) -> str:
@@ -153,24 +173,39 @@ def _glob_level(wild: str) -> list[str]:
 def parse_pattern(text: str) -> Pattern:
     """Pattern of a file name that holds %04d, ####, @@@@, $F4 or <F4> once in its last part; else a single file.
 
-    Nuke's %V and %v stand for {view}. SequenceError when a folder's name holds a frame number, or a name holds two.
+    Nuke's %V and %v stand for {view}. The signs in the name of a folder that is there are part of its name.
+    SequenceError when another folder's name holds a frame number, or a name holds two.
     """
-    text = _NUKES_VIEW.sub(VIEW, with_slashes(text))
+    place, text = split_folder(with_slashes(text))
+    text = _NUKES_VIEW.sub(VIEW, text)
     folder, _, name = text.rpartition("/")
     found = list(_NUMBER.finditer(name))
-    if len(found) > 1 or (folder and _NUMBER.search(folder)):
-        raise SequenceError(f"{text}: give the frame number once, in the file name")
+    if folder and _NUMBER.search(folder):
+        raise SequenceError(f"{place}{text}: give the frame number once, in the file name, or make the folder "
+                            f"'{place}{folder}' first if it is called so")
+    if len(found) > 1:
+        raise SequenceError(f"{place}{text}: give the frame number once, in the file name")
     if not found:
-        return Pattern(text)
+        return Pattern(text, folder=place)
     if _digits(found[0]) > MOST_DIGITS:
-        raise SequenceError(f"{text}: a frame number has at most {MOST_DIGITS} digits")
+        raise SequenceError(f"{place}{text}: a frame number has at most {MOST_DIGITS} digits")
     start = len(text) - len(name)
     prefix, suffix = text[: start + found[0].start()], text[start + found[0].end() :]
-    return Pattern(prefix, suffix, _digits(found[0]))
+    return Pattern(prefix, suffix, _digits(found[0]), place)
+
+
+def split_folder(text: str) -> tuple[str, str]:
+    """A path's deepest folder that is there as it is written, with its slash, and what follows."""
+    end = text.rfind("/") + 1
+    while end and not os.path.isdir(text[:end]):
+        end = text.rfind("/", 0, end - 1) + 1
+    return text[:end], text[end:]
 
 
 def parse_frames(text: str) -> list[int]:
-    """Frame numbers of '1-100x2', '1,5,7-9' and the like, in the order given; SequenceError when malformed.
+    """Frame numbers of '1-100x2', '1,5,7-9' and the like, in order of time; SequenceError when malformed.
+
+    Farms write '100-1' for frames to render last first. A history only goes forwards.
 
     Steps that fileseq writes with ':' or 'y' are refused: they deal frames out to several machines, out of order.
     """
@@ -187,7 +222,7 @@ def parse_frames(text: str) -> list[int]:
         raise SequenceError(f"--frames {text}: not a frame range: write it like 1-100, 1-100x2 or 1,5,8-12") from error
     if not numbers:
         raise SequenceError(f"--frames {text}: holds no frame")
-    return [int(number) for number in numbers]
+    return sorted({int(number) for number in numbers})
 
 
 def _refuse_other_steps(text: str, part: re.Match[str]) -> None:
@@ -214,12 +249,12 @@ def number_in_name(path: Path) -> int | None:
 def pattern_of(path: Path) -> Pattern:
     """Pattern of the sequence that a file belongs to by its name; without a number when the name ends in none."""
     match = _DIGITS.search(path.name)
+    folder, name = split_folder(with_slashes(str(path)))
     if not match:
-        return Pattern(with_slashes(str(path)))
-    name = with_slashes(str(path))
+        return Pattern(name, folder=folder)
     before = len(name) - len(path.name)
     digits = len(match.group().lstrip("-"))
-    return Pattern(name[: before + match.start()], name[before + match.end() :], digits)
+    return Pattern(name[: before + match.start()], name[before + match.end() :], digits, folder)
 
 
 def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
@@ -233,13 +268,14 @@ def patterns_in(folder: Path, suffixes: Iterable[str]) -> list[Pattern]:
 
 def _group(paths: Iterable[Path]) -> list[Pattern]:
     """Patterns of files, each once."""
-    found: dict[tuple[str, str], Pattern] = {}
+    found: dict[tuple[str, str, str], Pattern] = {}
     for path in sorted(paths, key=lambda path: (number_in_name(path) or 0) < 0):
         pattern, number = pattern_of(path), number_in_name(path)
-        known = found.setdefault((pattern.prefix, pattern.suffix), pattern)
+        key = pattern.folder, pattern.prefix, pattern.suffix
+        known = found.setdefault(key, pattern)
         fewer = pattern.digits is not None and known.digits is not None and pattern.digits < known.digits
         if fewer and number is not None and number >= 0:
-            found[pattern.prefix, pattern.suffix] = pattern
+            found[key] = pattern
     return list(found.values())
 
 
@@ -292,7 +328,7 @@ def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[in
 
 def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
     """Pattern of the files, or of the one folder, that wildcards fit."""
-    wild = pattern.prefix + ("*" if pattern.is_numbered else "") + pattern.suffix
+    wild = glob.escape(pattern.folder) + pattern.prefix + ("*" if pattern.is_numbered else "") + pattern.suffix
     wild = wild.replace(PLANE, "*").replace(VIEW, "*")
     found = sorted(map(Path, _glob(wild)))
     folders = [path for path in found if os.path.isdir(path)]  # False without the right to look
@@ -332,10 +368,9 @@ def _one_sequence(patterns: list[Pattern], source: str) -> Pattern:
 def _one_file_a_plane(patterns: list[Pattern]) -> Pattern | None:
     """Pattern with {plane} that fits all sequences of a folder, one of them the colour; None when there is none."""
     for pattern in patterns:
-        folder, _, name = pattern.prefix.rpartition("/")
+        name = pattern.prefix
         for word in COLOUR_FILES:
-            prefix = f"{folder}/{name.replace(word, PLANE)}"
-            together = Pattern(prefix, pattern.suffix, pattern.digits)
+            together = replace(pattern, prefix=name.replace(word, PLANE))
             if word in name and all(is_plane_word(together.plane_of(other) or "") for other in patterns):
                 return together
     return None

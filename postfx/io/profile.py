@@ -30,6 +30,7 @@ A profile is a TOML file; the built-in ones are in `profiles/`. Format (all keys
     names = ["Vector", "velocity"]       # layer names in order of preference; "" is no layer, * matches anything
     channels = ["XY", "RG"]              # channel letters in order of preference, or a list of whole names
     requires = ["Albedo.R"]              # the plane is looked for only where these channels exist, too
+    without = ["Specular.R"]             # and only where none of these exists
     source = "manual"                    # of this plane's names, where it is another than the profile's
     scale = [1, -1]                      # value = (stored + offset) * scale; a normal stored as 0, 0, 0 stays zero
     unit = "pixels"                      # motion: pixels, uv (0..1 of the image), ndc (-1..1), width (parts of the
@@ -57,7 +58,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
@@ -65,7 +65,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from postfx.errors import ProfileError
-from postfx.files import read_text
+from postfx.files import parse_toml, read_text
 from postfx.frame import ADDITIVE, ROLES, Role
 
 
@@ -114,9 +114,9 @@ PART = {"names": TEXTS, "kind": TEXT, "group": TEXT, "factor": TEXT}
 CAMERA = {"fov_x": NUMBER, "near": NUMBER, "far": DISTANCE, "column_vectors": YES_NO, "max_velocity": LENGTH,
           "shutter": LENGTH}
 DETECT = {"header": PATTERNS, "channels": TEXTS, "without": TEXTS}
-PLANE = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "requires": TEXTS, "source": TEXT, "scale": NUMBERS,
-         "offset": NUMBERS, "unit": TEXT, "per": TEXT, "space": TEXT, "kind": TEXT, "reversed": YES_NO, "miss": NUMBER,
-         "clamp": RANGE, "enable": TEXT}
+PLANE = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "requires": TEXTS, "without": TEXTS, "source": TEXT,
+         "scale": NUMBERS, "offset": NUMBERS, "unit": TEXT, "per": TEXT, "space": TEXT, "kind": TEXT,
+         "reversed": YES_NO, "miss": NUMBER, "clamp": RANGE, "enable": TEXT}
 
 
 def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, where: str = "profile") -> None:
@@ -131,7 +131,7 @@ def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, where
 BUILTIN = Path(__file__).parent / "profiles"
 HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera", "near", "far", "max_velocity",
                "shutter")
-_MOST_BYTES, _MOST_DOTS = 1 << 18, 200
+_MOST_BYTES = 1 << 18
 DEPTH_KINDS = ("planar", "ray", "device", "normalised")
 SOURCES = {
     "file": "seen in files of the renderer",
@@ -152,6 +152,7 @@ class PlaneRule:
     names: tuple[str, ...]
     channels: tuple[tuple[str, ...], ...]
     requires: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
     source: str = ""
     scale: tuple[float, ...] = (1.0,)
     offset: tuple[float, ...] = (0.0,)
@@ -229,21 +230,18 @@ def load_profile(name: str) -> Profile:
             known = ", ".join(profile_names())
             raise ProfileError(f"unknown profile '{name}': use one of {known}, or the path of a TOML file")
     try:
-        return _parse(tomllib.loads(_text(path)), path)
+        return _parse(_read_table(path), path)
     except OSError as error:
         raise ProfileError(f"{path}: profile cannot be read: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{path}: profile is not valid TOML: {error}") from error
     except RecursionError as error:
         raise ProfileError(f"{path}: profile extends itself, or its values are nested without end") from error
 
 
-def _text(path: Path) -> str:
-    """A profile's text, within bounds: tomllib takes time by the square of a dotted name's length."""
-    text = read_text(path, _MOST_BYTES)
-    if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
-        raise ProfileError(f"{path}: profile has a line of more than {_MOST_DOTS} dots")
-    return text
+def _read_table(path: Path) -> dict[str, Any]:
+    try:
+        return parse_toml(read_text(path, _MOST_BYTES))
+    except ValueError as error:
+        raise ProfileError(f"{path}: profile is not valid TOML: {error}") from error
 
 
 def _parse(table: dict[str, Any], path: Path) -> Profile:
@@ -305,7 +303,7 @@ def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     if table.get("role") not in list(Role):
         raise ProfileError(f"{path}: {where}: unknown role: use one of {', '.join(Role)}")
     _check_choices(table, _CHOICES, path, where)
-    role, listed = Role(table["role"]), {"names", "channels", "requires", "scale", "offset", "clamp"}
+    role, listed = Role(table["role"]), {"names", "channels", "requires", "without", "scale", "offset", "clamp"}
     channels = tuple(tuple(letters) for letters in table.get("channels", []))
     if not channels or any(len(letters) != ROLES[role].channels for letters in channels):
         raise ProfileError(f"{path}: {where}: each entry of channels needs {ROLES[role].channels} channels")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
+from postfx.files import make_printable
 from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import parse_colourspace
 from postfx.io.convert import SEEN, parse_depth
@@ -105,6 +106,7 @@ class Sequence:
         self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth, view=own)
         self.planes = None if planes is None else tuple(Role(role) for role in planes)
         self.warnings: list[str] = []
+        self._warn_of_overlooked()
         self._step = _step(self.present())
         self._last: int | None = None
         wanted = frames if frames is not None else named or self._on_disk()
@@ -393,6 +395,13 @@ class Sequence:
         others = ", ".join(view for view in views[1:] if view not in self._known_views)
         return [f"view {views[0]} is read; {others} not, and is only copied where the output keeps other channels: "
                 "--view all denoises all of them"] if others else []
+
+    def _warn_of_overlooked(self) -> None:
+        found = [path.name for own in self.pattern.by_view().values() for path in own.find_overlooked()]
+        if found:
+            names = ", ".join(map(make_printable, found[:3])) + ", ..." * (len(found) > 3)
+            self._warn(f"{names}: fewer digits than frames of this pattern have: not read; rename them, or name the "
+                       "frames with one #")
 
     def _is_after_gap(self, number: int, previous: int | None) -> bool:
         if previous is None or previous == number - self._step:

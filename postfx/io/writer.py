@@ -21,7 +21,7 @@ from postfx.io.encode import JPEG, Dither, Picture, encode, has_end, light_of, q
 from postfx.io.exr.container import COMPRESSIONS
 from postfx.io.exr.passthrough import enlargement_of, select_attributes, set_attributes
 from postfx.io.image_file import reason_of
-from postfx.io.pattern import PLANE, VIEW, Pattern, parse_pattern
+from postfx.io.pattern import PLANE, VIEW, Pattern, parse_pattern, split_folder
 from postfx.io.sequence import Sequence
 from postfx.io.windows import OutputWindows, Pixels, crop, output_windows
 from postfx.version import __version__
@@ -292,7 +292,7 @@ class OutputFiles:
         if len(sequence) > 1 and not self._pattern.is_numbered:
             stem, suffix = Path(target).stem, Path(target).suffix
             raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like {stem}.####{suffix}")
-        if VIEW in os.path.dirname(str(self._pattern)):
+        if VIEW in os.path.dirname(self._pattern.prefix):
             raise WriteError(f"{self._pattern}: all views go into one folder: put {VIEW} into the file's name")
         if sequence.pattern.has_views and sequence.views and not self.has_views:
             raise WriteError(f"{target}: one file for {len(sequence.views) + 1} views, which have files of their own: "
@@ -387,11 +387,15 @@ def check_folder(folder: Path, option: str) -> None:
 def _output_pattern(target: str, source: Pattern) -> Pattern:
     if not is_utf8(target):
         raise WriteError(f"{make_printable(target)}: is not UTF-8: choose another name")
-    if PLANE in target:
+    if PLANE in split_folder(target)[1]:
         raise WriteError(f"{target}: {PLANE} is for input: leave it out, the planes of a frame go into one file")
     if not (target.endswith("/") or os.path.isdir(target) or not Path(target).suffix):
         return parse_pattern(target)
-    name = Path(str(source)).name.replace(PLANE, "frame")
-    if source.has_views and VIEW not in name:
-        name = f"{VIEW}.{name}"
-    return parse_pattern(f"{target.rstrip('/')}/{Path(name).stem}.exr")
+    start, end = source.prefix.rpartition("/")[2].replace(PLANE, "frame"), source.suffix
+    if source.is_numbered:
+        end = os.path.splitext(f"n{end}")[0][1:]
+    else:
+        start = os.path.splitext(start)[0]
+    if source.has_views and VIEW not in start + end:
+        start = f"{VIEW}.{start}"
+    return Pattern(start, f"{end}.exr", source.digits, f"{target.rstrip('/')}/")

@@ -99,7 +99,11 @@ class KernelCache(_Cache):
             return None
         with suppress(OSError):
             path.touch()  # marks it as used
-        return CompileResult._rebuild(target_context, *pickle.loads(content))  # type: ignore[no-any-return,no-untyped-call]
+        try:
+            facts = pickle.loads(_unseal(content))
+            return CompileResult._rebuild(target_context, *facts)  # type: ignore[no-any-return,no-untyped-call]
+        except Exception:  # of a damaged file anything may be raised: the kernel is compiled again, and the file replaced
+            return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Cache a compiled function, unless it refers to addresses of this process or the disk is full."""
@@ -108,7 +112,7 @@ class KernelCache(_Cache):
             return
         with suppress(OSError):
             content: bytes = dumps(data._reduce())  # type: ignore[no-untyped-call]
-            write_atomically(path, lambda file: file.write(content))
+            write_atomically(path, lambda file: file.write(_seal(content)), durable=True)
             _remove_unused(path.parent)
 
     def enable(self) -> None:
@@ -148,6 +152,19 @@ def digest(function: Callable[..., Any]) -> str:
         found.update(part.encode() if isinstance(part, str) else part)
         found.update(b"\0")
     return found.hexdigest()
+
+
+def _seal(content: bytes) -> bytes:
+    """What a file holds: the content, and its hash, which pickle does not look at."""
+    return content + hashlib.sha256(content).digest()
+
+
+def _unseal(stored: bytes) -> bytes:
+    """The content again; ValueError where a file is damaged."""
+    content = stored[:-hashlib.sha256().digest_size]
+    if _seal(content) != stored:
+        raise ValueError("the file is damaged")
+    return content
 
 
 def _function_parts(function: FunctionType) -> Iterator[str | bytes]:

@@ -245,11 +245,17 @@ __device__ __noinline__ void spread_weights(int deltas, int reads, int points, L
     }
 }
 
+// What a thread has of a group's squared error, and of its points that are learnt.
+struct Part {
+    double error;
+    int learnt;
+};
+
 // The derivatives of the squared error by the last layer's outputs of 16 points, in their place, and that error.
 template <int TILES>
-__device__ inline double compare(float (&sums)[TILES][4], const View& targets, int first, int end, float share) {
+__device__ inline void compare(float (&sums)[TILES][4], const View& targets, int first, int end, float share,
+                               Part& part) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, outputs = targets.size[1];
-    double error = 0.0;
 #pragma unroll
     for (int r = 0; r < 2; r++) {
         const int p = first + g + 8 * r;
@@ -265,28 +271,28 @@ __device__ inline double compare(float (&sums)[TILES][4], const View& targets, i
         }
         unknown += __shfl_xor_sync(~0u, unknown, 1);
         unknown += __shfl_xor_sync(~0u, unknown, 2);
+        part.learnt += q == 0 && unknown == 0.0f;
 #pragma unroll
         for (int k = 0; k < 2 * TILES; k++) {
             float& value = sums[k / 2][2 * r + k % 2];
             value = unknown > 0.0f ? 0.0f : value;
-            error += double(value) * value;
+            part.error += double(value) * value;
             value *= 2.0f * share;
         }
     }
-    return error;
 }
 
 // One group of points: all layers forwards and backwards, for `most` points at a time, 16 for each warp that has some.
 // A layer's derivatives take the place of what the next one read.
 template <int TILES, bool SHARED>
-__device__ __noinline__ double learn_group(const Network& net, const float* weights, float* gradients, int most,
+__device__ __noinline__ Part learn_group(const Network& net, const float* weights, float* gradients, int most,
                                      const View& points, const View& targets, const View& pulls, int begin, int end) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, last = net.layers, kind = net.activation;
     const int own = threadIdx.x / 32 * TILE, turns[2] = {turn_of(2 * q), turn_of(2 * q + 1)};
     const bool is_busy = own < most, is_pulled = pulls.size[0] == points.size[0];
     float* const slopes = memory + most * (net.rows[last + 1] - net.rows[1]);  // from layer 1 on
     const float share = 1.0f / (float(points.size[0]) * float(net.size[last]));
-    double error = 0.0;
+    Part part = {0.0, 0};
     for (int first = begin; first == begin || first < end; first += most) {
         Sums<TILES, 1> sums;
         if (is_busy) {
@@ -299,7 +305,7 @@ __device__ __noinline__ double learn_group(const Network& net, const float* weig
                 if (index == last - 1) break;
                 activate_rows(kind, layer.makes, sums[0], memory + place, slopes + place);
             }
-            error += compare(sums[0], targets, first + own, end, share);
+            compare(sums[0], targets, first + own, end, share, part);
         }
         for (int index = last - 1; index >= 0; index--) {
             const Layer layer = layer_of<8 * TILES, SHARED>(net, index, weights);
@@ -356,14 +362,14 @@ __device__ __noinline__ double learn_group(const Network& net, const float* weig
             }
         }
     }
-    return error;
+    return part;
 }
 
 // network (12,), parameters (count,), points (points, inputs), targets (points, outputs) -> partials (groups, count +
-// 1), and pulls (points, inputs) or (1, inputs): a block for a group.
+// 2), and pulls (points, inputs) or (1, inputs): a block for a group.
 extern "C" __global__ void __launch_bounds__(THREADS) neural_gradients(View network, View parameters, View points,
                                                                    View targets, View partials, View pulls) {
-    __shared__ double errors[THREADS];
+    __shared__ Part parts[THREADS];
     __shared__ Network net;
     read_network(network, net);
     const int groups = partials.size[0], sums = partials.size[1], group = blockIdx.y;
@@ -375,22 +381,32 @@ extern "C" __global__ void __launch_bounds__(THREADS) neural_gradients(View netw
     int most = MOST_POINTS;
     while (most > TILE && (most * floats > shared_floats() || most >= 2 * (end - begin))) most /= 2;
     float* const weights = memory + most * floats;
-    double error;
+    Part part;
     if (most * floats + net.space[last] > shared_floats()) {
-        error = learn_group<wide, false>(net, parameters.at, gradients, most, points, targets, pulls, begin, end);
+        part = learn_group<wide, false>(net, parameters.at, gradients, most, points, targets, pulls, begin, end);
     } else if (net.widest <= 8 * narrow) {
         load_layers<8 * narrow>(net, parameters.at, weights);
-        error = learn_group<narrow, true>(net, weights, gradients, most, points, targets, pulls, begin, end);
+        part = learn_group<narrow, true>(net, weights, gradients, most, points, targets, pulls, begin, end);
     } else {
         load_layers<8 * wide>(net, parameters.at, weights);
-        error = learn_group<wide, true>(net, weights, gradients, most, points, targets, pulls, begin, end);
+        part = learn_group<wide, true>(net, weights, gradients, most, points, targets, pulls, begin, end);
     }
-    errors[threadIdx.x] = error;
+    parts[threadIdx.x] = part;
     __syncthreads();
     if (threadIdx.x == 0) {
-        for (int k = 1; k < THREADS; k++) error += errors[k];
-        gradients[sums - 1] = float(error / (double(total) * net.size[net.layers]));
+        for (int k = 1; k < THREADS; k++) part.error += parts[k].error, part.learnt += parts[k].learnt;
+        gradients[sums - 2] = float(part.error / (double(total) * net.size[net.layers]));
+        gradients[sums - 1] = float(double(part.learnt) / double(total));
     }
+}
+
+// What makes the sum of groups a mean over the points that are learnt; 0 if there are none.
+__device__ inline float scale_of(const View& partials) {
+    float share = 0.0f;
+    for (int group = 0; group < partials.size[0]; group++) {
+        share += partials.at[size_t(group + 1) * partials.size[1] - 1];
+    }
+    return share > 0.0f ? 1.0f / share : 0.0f;
 }
 
 // A step of one parameter, whose moments are a row of three.
@@ -404,7 +420,7 @@ __device__ inline void adam_step(float gradient, const View& hyper, float* row, 
     parameter -= size * row[0] / (sqrtf(row[1]) * scale + epsilon);
 }
 
-// partials (groups, count + 1), hyper (4,), parameters (count,), moments (count, 3): the last two change in place. A
+// partials (groups, count + 2), hyper (4,), parameters (count,), moments (count, 3): the last two change in place. A
 // block for 8 parameters, 32 of whose threads share a parameter's groups.
 extern "C" __global__ void __launch_bounds__(THREADS) neural_adam(View partials, View hyper, View parameters,
                                                               View moments) {
@@ -412,13 +428,13 @@ extern "C" __global__ void __launch_bounds__(THREADS) neural_adam(View partials,
     const int count = moments.size[0], y = blockIdx.y * 8 + threadIdx.x % 8;
     float gradient = 0.0f;
     for (int group = threadIdx.x / 8; y < count && group < partials.size[0]; group += THREADS / 8) {
-        gradient += partials.at[size_t(group) * (count + 1) + y];
+        gradient += partials.at[size_t(group) * (count + 2) + y];
     }
     parts[threadIdx.x] = gradient;
     __syncthreads();
     if (threadIdx.x >= 8 || y >= count) return;
     for (int k = 8 + threadIdx.x; k < THREADS; k += 8) gradient += parts[k];
-    adam_step(gradient, hyper, moments.at + 3 * size_t(y), parameters.at[y]);
+    adam_step(gradient * scale_of(partials), hyper, moments.at + 3 * size_t(y), parameters.at[y]);
 }
 
 struct Corner {
@@ -484,13 +500,13 @@ extern "C" __global__ void __launch_bounds__(THREADS) neural_grid_pull(View grid
     }
 }
 
-// sums (levels, entries * numbers) int64, hyper (4,), table (levels, entries * numbers), moments (levels, entries *
-// numbers, 3): the last two change in place.
-extern "C" __global__ void neural_grid_step(View sums, View hyper, View table, View moments) {
+// sums (levels, entries * numbers) int64, partials (groups, parts), hyper (4,), table (levels, entries * numbers),
+// moments (levels, entries * numbers, 3): the last two change in place.
+extern "C" __global__ void neural_grid_step(View sums, View partials, View hyper, View table, View moments) {
     PIXEL(table.size[1], table.size[0]);
     const size_t at = size_t(y) * table.size[1] + x;
     const long long units = reinterpret_cast<const long long*>(sums.at)[at];
     if (units == 0) return;
-    const float gradient = float(double(units) / UNITS);
+    const float gradient = float(double(units) / UNITS) * scale_of(partials);
     adam_step(gradient, hyper, moments.at + 3 * at, table.at[at]);
 }

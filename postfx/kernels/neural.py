@@ -4,9 +4,10 @@ A point's inputs are followed by sin(2^k pi x) and cos(2^k pi x) of the first `e
 2020), for k < `bands`; then come 1 to 5 layers of at most 128 outputs, with an activation after each but the last.
 
 - `FORWARD`: network, parameters (count,), points (points, inputs) -> values (points, outputs).
-- `GRADIENTS`: the same and targets (points, outputs) -> partials (groups, count + 1). A group has equally many points,
-  to one; its row holds its share of the gradient of the mean squared error, and of that error. A point with a target
-  that is not finite adds nothing to either.
+- `GRADIENTS`: the same and targets (points, outputs) -> partials (groups, count + 2). A group has equally many points,
+  to one; its row holds its part of the gradient of the squared error over all points, of that error, and the share of
+  all points that it learns. A point with a target that is not finite is not learnt and adds nothing. What sums over
+  groups divided by the sum of shares is the mean over the points that are learnt: `ADAM` and `GRID_STEP` divide.
   pulls (points, inputs) get that error's derivatives by the inputs; with another number of rows they are left alone.
 - `ADAM`: the sum of the partials by groups, and one step of Adam (Kingma 2015): hyper (4,) is the step size, the two
   decays and epsilon. parameters (count,) and moments (count, 3), whose last number counts steps, change in place.
@@ -22,8 +23,8 @@ lies in a cell of a regular grid; the numbers at its corners, which are entries 
   numbers + others). grid holds dims, numbers, entries (a power of two), levels, and each level's cells along an axis.
 - `GRID_PULL`: grid, points and pulls as above -> sums (levels, entries * numbers), the derivatives by the table in
   units of 1 / UNITS: whole numbers, whose sum is the same in any order.
-- `GRID_STEP`: one step of Adam for entries that a point reached; table and moments (levels, entries * numbers, 3)
-  change in place.
+- `GRID_STEP`: one step of Adam, with the partials of the network, for entries that a point reached; table and moments
+  (levels, entries * numbers, 3) change in place.
 """
 
 from __future__ import annotations
@@ -186,20 +187,23 @@ def forward_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray, 
 
 
 @compiled
-def compare(values: np.ndarray, targets: np.ndarray, first: int, count: int, share: Real, deltas: np.ndarray) -> float:
-    """Sum of squared differences of a strip's points from their targets; their derivatives times `share`."""
-    outputs, total = targets.shape[1], 0.0
+def compare(values: np.ndarray, targets: np.ndarray, first: int, count: int, share: Real,
+            deltas: np.ndarray) -> tuple[float, int]:
+    """Sum of squared differences of a strip's points from their targets, and how many of them are learnt; the
+    derivatives times `share`."""
+    outputs, total, learnt = targets.shape[1], 0.0, 0
     deltas[:] = ZERO
     for p in range(count):
         known = True
         for j in range(outputs):
             known = known and np.isfinite(targets[first + p, j])
         if known:
+            learnt += 1
             for j in range(outputs):
                 difference = values[j * STRIP + p] - targets[first + p, j]
                 total += difference * difference
                 deltas[j * STRIP + p] = np.float32(2) * share * difference
-    return total
+    return total, learnt
 
 
 @compiled
@@ -289,7 +293,7 @@ def gradient_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray,
     deltas, spare = np.empty_like(layers), np.empty(wide, np.float32)
     blocks = np.empty(blocks_of(network) * LANES, np.float32)
     for group in range(y0, y1):
-        gradients, error = partials[group], 0.0
+        gradients, error, learnt = partials[group], 0.0, 0
         gradients[:] = ZERO
         blocks[:] = ZERO
         first, end = group * total // groups, (group + 1) * total // groups
@@ -301,7 +305,9 @@ def gradient_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray,
                 encode(network, points, first, count, layers[0][begin:])
                 run_layers(network, parameters, layers, deltas, strips)
                 here = slice(strips * size, (strips + 1) * size)
-                error += compare(layers[last][here], targets, first, count, share, deltas[last][here])
+                off, known = compare(layers[last][here], targets, first, count, share, deltas[last][here])
+                error += off
+                learnt += known
                 pull_back(network, parameters, deltas, strips, spare)
                 if pulls.shape[0] == total:
                     pull_inputs(network, parameters, deltas, strips, spare, pulls[first:first + count])
@@ -309,7 +315,17 @@ def gradient_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray,
                 strips += 1
             add_gradients(network, layers, deltas, strips, blocks, gradients)
         put_weights(network, blocks, gradients)
-        gradients[-1] = np.float32(error / (total * outputs))
+        gradients[-2] = np.float32(error / (total * outputs))
+        gradients[-1] = np.float32(learnt / total)
+
+
+@compiled
+def scale_of(partials: np.ndarray) -> Real:
+    """What makes the sum of groups a mean over the points that are learnt; 0 if there are none."""
+    share = ZERO
+    for group in range(partials.shape[0]):
+        share += partials[group, partials.shape[1] - 1]
+    return ONE / share if share > ZERO else ZERO
 
 
 @compiled
@@ -320,11 +336,12 @@ def adam_rows(y0: int, y1: int, partials: np.ndarray, hyper: np.ndarray, paramet
     for group in range(partials.shape[0]):
         for k in range(gradients.size):
             gradients[k] += partials[group, y0 + k]
+    learnt = scale_of(partials)
     step = np.float64(moments[y0, 2]) + 1
     size = np.float32(rate / (1 - np.float64(slow) ** step))
     scale = np.float32(1 / np.sqrt(1 - np.float64(slower) ** step))
     for k in range(gradients.size):
-        gradient, row = gradients[k], moments[y0 + k]
+        gradient, row = gradients[k] * learnt, moments[y0 + k]
         row[0] = slow * row[0] + (ONE - slow) * gradient
         row[1] = slower * row[1] + (ONE - slower) * gradient * gradient
         row[2] = np.float32(step)
@@ -378,14 +395,15 @@ def grid_pull_rows(y0: int, y1: int, grid: np.ndarray, points: np.ndarray, pulls
 
 
 @compiled
-def grid_step_rows(y0: int, y1: int, sums: np.ndarray, hyper: np.ndarray, table: np.ndarray,
+def grid_step_rows(y0: int, y1: int, sums: np.ndarray, partials: np.ndarray, hyper: np.ndarray, table: np.ndarray,
                    moments: np.ndarray) -> None:
     rate, slow, slower, epsilon = hyper[0], hyper[1], hyper[2], hyper[3]
+    learnt = scale_of(partials)
     for level in range(y0, y1):
         for k in range(table.shape[1]):
             if sums[level, k] == 0:
                 continue
-            gradient, row = np.float32(sums[level, k] / UNITS), moments[level, k]
+            gradient, row = np.float32(sums[level, k] / UNITS) * learnt, moments[level, k]
             row[0] = slow * row[0] + (ONE - slow) * gradient
             row[1] = slower * row[1] + (ONE - slower) * gradient * gradient
             row[2] += ONE
@@ -411,7 +429,7 @@ ADAM = Kernel(
     blocks=Blocks(8, THREADS))
 _GRID: dict[str, tuple[int | str, ...]] = {
     "grid": (SIDES + MOST_LEVELS,), "table": ("levels", "entries"), "points": ("points", "axes"),
-    "sums": ("levels", "entries"), "moments": ("levels", "entries", 3), "hyper": (4,)}
+    "sums": ("levels", "entries"), "partials": ("groups", "parts"), "moments": ("levels", "entries", 3), "hyper": (4,)}
 GRID = Kernel(
     "neural_grid", ("grid", "table", "points"), ("rows",), grid_rows, ("rows", 0),
     {**{name: _GRID[name] for name in ("grid", "table", "points")}, "rows": ("points", "inputs")})
@@ -420,5 +438,6 @@ GRID_PULL = Kernel(
     {**{name: _GRID[name] for name in ("grid", "points", "sums")}, "pulls": ("points", "inputs")}, {"sums": "int64"},
     blocks=Blocks(1, THREADS))
 GRID_STEP = Kernel(
-    "neural_grid_step", ("sums", "hyper", "table", "moments"), ("table", "moments"), grid_step_rows, ("table", 0),
-    {name: _GRID[name] for name in ("sums", "hyper", "table", "moments")}, {"sums": "int64"})
+    "neural_grid_step", ("sums", "partials", "hyper", "table", "moments"), ("table", "moments"), grid_step_rows,
+    ("table", 0),
+    {name: _GRID[name] for name in ("sums", "partials", "hyper", "table", "moments")}, {"sums": "int64"})

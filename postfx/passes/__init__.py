@@ -298,6 +298,10 @@ class Pass:
             state = "not compiled" if self._spec is None else "compiled for another spec"
             raise NotCompiledError(f"pass '{self.name}' is {state}: call compile(device, frame.spec) before encode")
 
+    def packages(self) -> Mapping[str, str]:
+        """Other packages that decide its pixels, with their versions, for headers and for what resumes a run."""
+        return {}
+
     def note_time(self, milliseconds: float) -> None:
         """Called with the device time of the last frame's commands."""
 

@@ -14,7 +14,7 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise.parts import BALANCE
 from postfx.kernels.image import OVER, OVER_ALPHA
 from postfx.passes import Pass, Reflection, ResidentFrame
-from postfx.runtime import ArgumentTable, CommandBuffer, Device
+from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
 
 LATEST = 64
 """How many of the last frames' times count."""
@@ -83,6 +83,44 @@ class Overlay(Pass):
         return ArgumentTable(device.compute_state(OVER if role is Role.COLOUR else OVER_ALPHA), {"output": output})
 
 
+class PartShares:
+    """Brings parts of a picture to one that took its place: each gets the same share of it as before, so that light
+    adds up to it. `parts`: those of the denoiser, of which light of three channels counts."""
+
+    def __init__(self, parts: Sequence[Part | str]) -> None:
+        self._lights = [part if isinstance(part, str) else part.name for part in parts
+                        if isinstance(part, str) or part.is_light]
+        self._tables: dict[str, ArgumentTable] = {}
+
+    def read_of(self, spec: FrameSpec) -> tuple[str, ...]:
+        """Names of the parts that are read of frames of a spec."""
+        return tuple(name for name in self._lights if name in spec.part_names)
+
+    def compile(self, device: Device, spec: FrameSpec) -> None:
+        """Get ready for frames of a spec."""
+        self._tables = {}
+        if not self._lights:
+            return
+        none, everywhere = device.heap.tensor("not all of it", (1,)), device.heap.tensor("everywhere", (1, 1, 1))
+        none.fill(0)
+        everywhere.fill(1)
+        for name in self._lights:
+            balanced = device.heap.transient(f"{name} of the mixture", (1, spec.height, spec.width, 3))
+            self._tables[name] = ArgumentTable(device.compute_state(BALANCE), {
+                "complete": none, "reached": everywhere, "balanced": balanced})
+
+    def encode(self, encoder: ComputeEncoder, frame: ResidentFrame, before: Tensor, after: Tensor) -> None:
+        """Record the work, once the picture `after` is there, which takes the place of the one `before`."""
+        for name, table in self._tables.items():
+            part = frame.parts.get(name)
+            if part is None or part.shape[2] != 3:
+                continue
+            table["parts"], table["whole"] = part.view(name, (1, *part.shape), 0), before
+            table["picture"] = after
+            encoder.dispatch(table.state, table)
+            frame.parts[name] = table["balanced"].view(name, part.shape, 0)
+
+
 class BothWays(Pass):
     """Mixes the plane `later` into the colour: later + (1 - weight) * colour, in scene-linear light.
 
@@ -99,13 +137,12 @@ class BothWays(Pass):
 
     def __init__(self, *, parts: Sequence[Part | str] = (), **unknown: Never) -> None:
         super().__init__(parts=parts, **unknown)
-        self._lights = [part if isinstance(part, str) else part.name for part in parts
-                        if isinstance(part, str) or part.is_light]
+        self._parts = PartShares(parts)
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         kept = tuple(plane for plane in spec.planes if plane[0] is not Role.LATER)
         return Reflection(reads=(Role.COLOUR, Role.LATER), writes=(Role.COLOUR,), output=replace(spec, planes=kept),
-                          parts=tuple(name for name in self._lights if name in spec.part_names))
+                          parts=self._parts.read_of(spec))
 
     def skip(self, spec: FrameSpec) -> str | None:
         if spec.encoding != "scene-linear":
@@ -115,16 +152,7 @@ class BothWays(Pass):
     def compile(self, device: Device, spec: FrameSpec) -> None:
         output = device.heap.transient("colour of both directions", (spec.height, spec.width, 3))
         self._table = ArgumentTable(device.compute_state(OVER), {"output": output})
-        size = spec.height, spec.width, 3
-        self._shares: dict[str, ArgumentTable] = {}
-        if self._lights:
-            none, everywhere = device.heap.tensor("not all of it", (1,)), device.heap.tensor("everywhere", (1, 1, 1))
-            none.fill(0)
-            everywhere.fill(1)
-            for name in self._lights:
-                self._shares[name] = ArgumentTable(device.compute_state(BALANCE), {
-                    "complete": none, "reached": everywhere, "picture": output,
-                    "balanced": device.heap.transient(f"{name} of both directions", (1, *size))})
+        self._parts.compile(device, spec)
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
@@ -134,10 +162,5 @@ class BothWays(Pass):
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
             encoder.barrier()
-            for name, table in self._shares.items():
-                part = frame.parts.get(name)
-                if part is not None and part.shape[2] == 3:
-                    table["parts"], table["whole"] = part.view(name, (1, *part.shape), 0), frame[Role.COLOUR]
-                    encoder.dispatch(table.state, table)
-                    frame.parts[name] = table["balanced"].view(name, part.shape, 0)
+            self._parts.encode(encoder, frame, frame[Role.COLOUR], self._table["output"])
         frame.set(Role.COLOUR, self._table["output"])

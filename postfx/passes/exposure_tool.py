@@ -134,6 +134,10 @@ def asked_form() -> Literal["whole", "part"] | None:
     return "part"
 
 
+MIXERS = ("both_ways", "partner", "mix_partner")
+"""Passes that add another result to the upscaler's."""
+
+
 def with_tool(passes: tuple[Pass, ...]) -> tuple[Pass, ...]:
     """The passes, and the tool after the upscaler (first, without one) where the environment variable asks for it.
 
@@ -143,8 +147,8 @@ def with_tool(passes: tuple[Pass, ...]) -> tuple[Pass, ...]:
     if form is None or any(isinstance(item, ExposureTool) for item in passes):
         return passes
     if form == "whole":
-        passes = tuple(_plain(item) for item in passes if item.name != "both_ways")
-    makers = ("denoise_upscale", "both_ways")
+        passes = tuple(_plain(item) for item in passes if item.name not in MIXERS)
+    makers = ("denoise_upscale", *MIXERS)
     after = max((index for index, item in enumerate(passes, 1) if item.name in makers), default=0)
     return (*passes[:after], ExposureTool(part=form == "part"), *passes[after:])
 

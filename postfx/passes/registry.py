@@ -22,6 +22,9 @@ GROUP = "postfx.passes"
 BUILT_IN = {
     "denoise_upscale": "postfx.passes.denoise:DenoiseUpscale",
     "both_ways": "postfx.passes.composite:BothWays",
+    "oidn": "postfx.passes.oidn:Oidn",
+    "partner": "postfx.passes.partner:Partner",
+    "mix_partner": "postfx.passes.partner:MixPartner",
     "overlay": "postfx.passes.composite:Overlay",
     "tonemap": "postfx.passes.tonemap:ToneMap",
     "display": "postfx.passes.display:Display",
@@ -114,20 +117,21 @@ class PassRequest(NamedTuple):
     after: str | None = None
 
 
-def parse_pass(text: str) -> PassRequest:
-    """Of 'NAME[,option=value]...[,before=PASS|after=PASS]'. Raises OptionError for anything else."""
+def parse_pass(text: str, flag: str = "--pass") -> PassRequest:
+    """Of 'NAME[,option=value]...[,before=PASS|after=PASS]'. Raises OptionError, which
+    names the flag, for anything else."""
     name, *words = _COMMA.split(text.strip())
     if not re.fullmatch(r"[\w.-]+", name):
-        raise OptionError(f"--pass {text}: give a name and options, e.g. vignette,amount=0.5,before=tonemap")
+        raise OptionError(f"{flag} {text}: give a name and options, e.g. vignette,amount=0.5,before=tonemap")
     options: dict[str, str] = {}
     for word in words:
         key, _, value = word.partition("=")
         if key in options:
-            raise OptionError(f"--pass {text}: '{key}' is given twice")
+            raise OptionError(f"{flag} {text}: '{key}' is given twice")
         options[key] = value
     before, after = options.pop(BEFORE, None), options.pop(AFTER, None)
     if before and after:
-        raise OptionError(f"--pass {text}: a pass stands before or after another one, not both")
+        raise OptionError(f"{flag} {text}: a pass stands before or after another one, not both")
     return PassRequest(name, options, before, after)
 
 

@@ -12,6 +12,7 @@ import OpenImageIO as oiio
 from postfx.colour.views import BANDS
 from postfx.errors import WriteError
 from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot
+from postfx.presenter import BUCKET, Pacing
 from postfx.report.frame_log import Row
 from postfx.report.pictures import png
 
@@ -231,3 +232,30 @@ def _legend(canvas: Canvas) -> None:
     for x, colour, text in ((LEFT, USED, "exposure used"), (LEFT + 170, NEEDED, "exposure that would be right")):
         canvas.line(np.array([x, x + 26]), np.array([52, 52]), colour, 3)
         canvas.text(x + 36, 52, text, INK, 15)
+
+
+def draw_pacing(pacing: Pacing, path: Path) -> None:
+    """Write the PNG, 1200x560: each interval in order, and right of it how many fall into each bucket. Raises
+    WriteError."""
+    canvas = Canvas(WIDTH, HEIGHT, PAPER)
+    canvas.text(LEFT, 24, str(pacing), INK, 18)
+    measured, bottom, middle = np.array(pacing.intervals), HEIGHT - 60, round(0.75 * WIDTH)
+    top = max(2 * pacing.interval, float(measured.max(initial=0)) * 1.05)
+
+    def y(seconds: np.ndarray | float) -> np.ndarray:
+        return np.asarray(bottom - np.asarray(seconds) / top * (bottom - TOP))
+
+    for turns in range(int(top / pacing.interval) + 1):
+        place = float(y(turns * pacing.interval))
+        canvas.box(LEFT, place, RIGHT_EDGE, place + 1, FAINT if turns == 1 else GRID)
+        canvas.text(LEFT - 10, place, f"{1e3 * turns * pacing.interval:.1f} ms", FAINT, 14, "right")
+    if measured.size:
+        canvas.dots(np.linspace(LEFT + 8, middle - 20, measured.size), y(measured), INK, 5)
+    half, most = BUCKET * pacing.interval / 2, max(pacing.histogram.values(), default=1)
+    for seconds, count in pacing.histogram.items():
+        end = middle + (RIGHT_EDGE - middle - 60) * count / most
+        canvas.box(middle, float(y(seconds + half)), max(end, middle + 2), float(y(seconds - half)), INK, 0.6)
+        canvas.text(end + 8, float(y(seconds)), str(count), INK, 14)
+    canvas.text((LEFT + middle) / 2, bottom + 26, "pictures in order", FAINT, 14, "center")
+    canvas.text((middle + RIGHT_EDGE) / 2, bottom + 26, "intervals of each length", FAINT, 14, "center")
+    canvas.save(path)

@@ -164,6 +164,7 @@ class RunFolder:
     def _remove_leftovers(self, names: Collection[str]) -> None:
         """Remove partial files that killed runs left: no other run may write these files now."""
         remove_leftovers(self._folder, names, any_host=True)
+        remove_leftovers(self._work, ["lock", "lock.breaking"])
         for path in self._work.glob(f".*{SUFFIX}.*"):
             if not is_alive(self._work, path.name[1:].partition(SUFFIX)[0]):
                 remove(path)
@@ -252,6 +253,8 @@ def _array(path: Path, kind: str, at: int, shape: tuple[int, ...]) -> np.ndarray
 
 
 def _open(path: Path) -> BinaryIO:
+    if path.exists() and not path.is_file():  # reading a pipe would never end
+        raise CheckpointError(f"{path}: is not a file")
     try:
         return path.open("rb")
     except OSError as error:

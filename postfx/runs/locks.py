@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import stat
 import tempfile
 import threading
 import time
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from postfx.errors import RunError
-from postfx.files import is_process_alive, parse_json, read_text, remove
+from postfx.files import create_whole, is_process_alive, parse_json, read_text, remove
 
 
 class Process(NamedTuple):
@@ -96,14 +97,16 @@ PATIENCE = 30.0
 """Seconds to wait for a lock; others hold it for milliseconds only."""
 OLD = 60.0
 """Seconds after which a lock counts as abandoned if its holder cannot be checked from here."""
+EMPTY = 5.0
+"""The same where it does not name its holder: it is empty for milliseconds, on file systems without links."""
 PAUSE = 0.02
 
 
 class FolderLock:
     """A lock on a folder, as a context manager around a few reads and writes.
 
-    The file is created with O_EXCL, which is atomic on NFS since version 3, and names host and process. A lock whose
-    process has ended is taken over. Raises RunError if the lock cannot be acquired in time.
+    The file names host and process from its first moment on. A lock whose process has ended is taken over, and so is
+    what names no process, such as a pipe. Raises RunError if the lock cannot be acquired in time.
     """
 
     def __init__(self, path: Path, patience: float = PATIENCE) -> None:
@@ -136,22 +139,19 @@ class FolderLock:
         try:
             if _is_left(self._path):
                 remove(self._path)
+        except IsADirectoryError as error:
+            raise RunError(f"{self._path}: is a folder, where a file has to be: delete it") from error
         finally:
             remove(breaking)
 
 
 def _create(path: Path) -> bool:
     try:
-        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
-    except FileExistsError:
-        return False
+        return create_whole(path, json.dumps(Process.me().as_dict()).encode())
     except PermissionError:
         if os.name != "nt":  # where it also means that the file is about to be removed
             raise
         return False
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        json.dump(Process.me().as_dict(), file)
-    return True
 
 
 def _holder(path: Path) -> Process:
@@ -163,8 +163,15 @@ def _holder(path: Path) -> Process:
 
 
 def _is_left(path: Path) -> bool:
-    alive = _holder(path).is_alive()
-    return alive is False or (alive is None and age_of(path) > OLD)
+    """Whether nobody holds a lock: its process has ended, or it is nothing that a process of postfx would leave."""
+    try:
+        if not stat.S_ISREG(path.lstat().st_mode):
+            return True
+    except OSError:
+        return False
+    holder = _holder(path)
+    alive = holder.is_alive()
+    return alive is False or (alive is None and age_of(path) > (OLD if holder.pid else EMPTY))
 
 
 BEAT = 10.0

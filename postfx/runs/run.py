@@ -122,6 +122,8 @@ def provenance_of(settings: Mapping[str, Any], plan: Plan, device: Device, also:
     foreign = {step.instance.name for step in plan.steps if step.instance.name not in BUILT_IN}
     packages = plug_ins() if foreign else {}  # looking through all installed packages takes milliseconds
     used = versions() | {f"pass {name}": packages[name] for name in sorted(foreign & packages.keys())}
+    for step in plan.steps:
+        used |= step.instance.packages()
     own = [_hashes_of(value) for step in plan.steps for value in step.instance.options.values()]
     decisive = [settings, passes, used, place, plan.as_dict(), models, own, *also]
     text = json.dumps(decisive, sort_keys=True, default=str)
@@ -175,7 +177,7 @@ class Options:
     log: str | None = None
     checkpoint: float | None = 30.0
     rerun: int | None = None
-    preroll: int | str = 0
+    preroll: int | str = "auto"
 
 
 class Run:

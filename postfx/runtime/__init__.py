@@ -16,6 +16,7 @@ from postfx.runtime.device import Device, default_device
 from postfx.runtime.encoders import ComputeEncoder, MachineLearningEncoder
 from postfx.runtime.heap import Heap
 from postfx.runtime.models import Library
+from postfx.runtime.session import has_networks
 from postfx.runtime.states import ArgumentTable, Binding, CompiledComputeState, PipelineState, PortableComputeState
 from postfx.runtime.tensor import Tensor, TensorState
 
@@ -43,4 +44,5 @@ __all__ = [
     "Tensor",
     "TensorState",
     "default_device",
+    "has_networks",
 ]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import re
 import threading
 import warnings
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, cached_property
 from itertools import pairwise
@@ -31,11 +31,29 @@ from postfx.runtime.heap import Heap
 from postfx.runtime.memory import CUDA, HOST, HOST_KINDS, HostMemory, Immediate, Memory, address, borrow, byte_span
 from postfx.runtime.model_file import Product, fix_dimensions, take_products
 from postfx.runtime.models import Library
-from postfx.runtime.session import CPU, Placement, Provider, Session, find_provider, first_line, ort, parse_provider
-from postfx.runtime.states import CompiledComputeState, CudaComputeState, PipelineState, PortableComputeState, State
+from postfx.runtime.session import (
+    CPU,
+    Placement,
+    Provider,
+    Session,
+    TableSession,
+    find_provider,
+    first_line,
+    has_networks,
+    ort,
+    parse_provider,
+)
+from postfx.runtime.states import (
+    CompiledComputeState,
+    CudaComputeState,
+    HostState,
+    PipelineState,
+    PortableComputeState,
+    State,
+)
 from postfx.runtime.tensor import DTYPES, Allocation, Tensor, name_of, size_in_bytes
 from postfx.runtime.threads import Band, CommandQueue, Helpers, Slots, wait_for_all
-from postfx.system import Scratch, usable_cores
+from postfx.system import Scratch, Workers, usable_cores
 from postfx.version import pip_install
 
 if TYPE_CHECKING:
@@ -119,14 +137,14 @@ class Device:
         return CommandQueue(f"postfx {self.name}")
 
     @cached_property
-    def lanes(self) -> ThreadPoolExecutor:
+    def lanes(self) -> Workers:
         """Threads for commands that run side by side."""
-        return ThreadPoolExecutor(self.threads, thread_name_prefix="postfx lane")
+        return Workers(self.threads, thread_name_prefix="postfx lane")
 
     @cached_property
-    def coordinators(self) -> ThreadPoolExecutor:
+    def coordinators(self) -> Workers:
         """Threads that wait for the commands of buffers which run beside others."""
-        return ThreadPoolExecutor(self.threads, thread_name_prefix="postfx buffer")
+        return Workers(self.threads, thread_name_prefix="postfx buffer")
 
     @cached_property
     def slots(self) -> Slots:
@@ -258,8 +276,12 @@ class Device:
         return PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken,
                              products)
 
-    def _session(self, content: bytes, library: Library, name: str, placement: Placement, fixed: Dims) -> Session:
-        """A network's session, all of whose dimensions are fixed."""
+    def _session(self, content: bytes, library: Library, name: str, placement: Placement,
+                 fixed: Dims) -> Session | TableSession:
+        """A network's session, all of whose dimensions are fixed; without ONNX Runtime its tables, if it is no more."""
+        if not has_networks():
+            with contextlib.suppress(ValueError):
+                return TableSession(content)
         named = {key: size for key, size in fixed.items() if isinstance(key, str)}
         session = Session(content, name, placement, named, library.path(name).parent,
                           placement.provider != CPU and placement.stream != 0)
@@ -283,6 +305,12 @@ class Device:
         if kernel not in self._compute_states:
             self._compute_states[kernel] = self._make_state(kernel)
         return self._compute_states[kernel]
+
+    def host_state(self, name: str, reads: Sequence[str], writes: Sequence[str],
+                   work: Callable[..., None]) -> State:
+        """Work of another library among the commands: `work` gets an array of the host for each of the names that it
+        `reads` and then `writes`, float32 of any shape."""
+        return HostState(self, name, reads, writes, work)
 
     @property
     def runs_rows(self) -> bool:

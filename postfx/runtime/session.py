@@ -13,6 +13,7 @@ import os
 import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
@@ -23,11 +24,12 @@ import numpy as np
 
 from postfx.errors import DeviceError, ModelError
 from postfx.files import atomic_file, parse_json
+from postfx.runtime.model_file import read_tables
 from postfx.runtime.tensor import Tensor, element_type
 from postfx.system import private_folder, usable_memory
 
-__all__ = ["CPU", "Placement", "Provider", "Session", "find_provider", "first_line", "ort", "parse_provider",
-           "providers_of", "session_options"]
+__all__ = ["CPU", "Placement", "Provider", "Session", "TableSession", "find_provider", "first_line", "has_networks",
+           "ort", "parse_provider", "providers_of", "session_options"]
 
 
 class _Missing:
@@ -36,8 +38,8 @@ class _Missing:
     __version__ = "missing"
 
     def __getattr__(self, name: str) -> Any:
-        raise DeviceError("networks need the package onnxruntime: install it, or denoise without a network by "
-                          "--model classic, with --no-tonemap")
+        raise DeviceError("networks need the package onnxruntime: install it, or do without: --model classic filters, "
+                          "and the looks aces2, agx and pbr_neutral are tables")
 
     def get_available_providers(self) -> list[str]:
         return []
@@ -45,8 +47,17 @@ class _Missing:
 
 try:
     import onnxruntime as ort
+
+    with suppress(AttributeError, RuntimeError):
+        ort.disable_telemetry_events()  # of one that the program had loaded before postfx
 except ImportError:
     ort = _Missing()
+
+
+def has_networks() -> bool:
+    """Whether ONNX Runtime is there, which runs networks."""
+    return not isinstance(ort, _Missing)
+
 
 CONSTANTS = "postfx.constants"
 """Key of a model's metadata under which `training.export` puts outputs that no node makes, which some execution
@@ -262,6 +273,26 @@ class Session:
         binding.bind_input(self.inputs[0].name, *source[:2], np.uint8, (nbytes,), source[2])
         binding.bind_output(self.outputs[0].name, *target[:2], np.uint8, (nbytes,), target[2])
         self._session.run_with_iobinding(binding)
+
+
+class TableSession:
+    """Stands for a `Session` of a model without inputs where ONNX Runtime is missing: its outputs are read from the
+    file. There is nothing to run."""
+
+    stream = 0
+
+    def __init__(self, content: bytes) -> None:
+        self._tables = read_tables(content)
+        self.inputs: list[Value] = []
+        self.outputs = [Value(name, table.shape, "float32") for name, table in self._tables.items()]
+
+    def bind(self, inputs: Mapping[str, Tensor], outputs: Mapping[str, Tensor]) -> Callable[[], None]:
+        """See `Session`."""
+        raise DeviceError("a table is looked up and not run")
+
+    def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
+        """See `Session`."""
+        return {name: self._tables[name] for name in names}
 
 
 def first_line(error: BaseException) -> str:

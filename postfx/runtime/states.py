@@ -14,7 +14,7 @@ from postfx.errors import BindingError, ModelError
 from postfx.kernels.native import bind_rows, compile_rows
 from postfx.runtime.convolutions import Convolutions, Gpu, Head, Layer, give_heads
 from postfx.runtime.model_file import Product
-from postfx.runtime.session import Session
+from postfx.runtime.session import Session, TableSession
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 
 if TYPE_CHECKING:
@@ -102,8 +102,8 @@ class PipelineState:
     stage = "machine-learning"
     capturable = True
 
-    def __init__(self, device: StateDevice, name: str, session: Session, dims: dict[str, int], model: Path,
-                 constants: Sequence[str] = (), in_place: Mapping[str, str] | None = None,
+    def __init__(self, device: StateDevice, name: str, session: Session | TableSession, dims: dict[str, int],
+                 model: Path, constants: Sequence[str] = (), in_place: Mapping[str, str] | None = None,
                  threads: int | None = None, products: Mapping[str, Product] | None = None) -> None:
         self.device = device
         self.products = products or {}
@@ -215,6 +215,47 @@ class CudaComputeState(ComputeState):
         return self._memory.launcher(self.name, self._source, extent, self._blocks, tensors)
 
 
+class HostState:
+    """Work of another library on arrays of the host, done when its turn among the commands comes. Made by
+    `Device.host_state`; on a GPU its arrays are copies, and it waits for the commands before it."""
+
+    stage = "compute"
+    narrow = False
+    stream = 0
+    model: Path | None = None
+    capturable = False
+
+    def __init__(self, device: StateDevice, name: str, reads: Sequence[str], writes: Sequence[str],
+                 work: Callable[..., None]) -> None:
+        self.device = device
+        self.name = name
+        self.command = f"work '{name}'"
+        self.threads = device.threads
+        self.bindings = tuple(Binding(binding, access, None, "float32")
+                              for names, access in ((reads, "read"), (writes, "write"))
+                              for binding in names)
+        self._work = work
+
+    def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
+        """A function that does the work on bound tensors."""
+        if self.device.memory.host_visible:
+            arrays = [tensor.host_view() for tensor in tensors]
+            return lambda: self._work(*arrays)
+        return lambda: self._work_on_copies(tensors)
+
+    def _work_on_copies(self, tensors: Sequence[Tensor]) -> None:
+        memory = self.device.memory
+        arrays = [np.empty(tensor.shape, tensor.dtype) for tensor in tensors]
+        bound = [*zip(self.bindings, tensors, arrays, strict=True)]
+        for binding, tensor, array in bound:
+            if binding.reads:
+                memory.read(tensor.start, array)
+        self._work(*arrays)
+        for binding, tensor, array in bound:
+            if binding.writes:
+                memory.write(tensor.start, array)
+
+
 def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:
     """Bindings of a kernel in argument order."""
     changed = kernel.in_place
@@ -233,7 +274,7 @@ def _compile_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
 
 
 def _session_bindings(
-    name: str, session: Session, constants: Sequence[str], in_place: Mapping[str, str]
+    name: str, session: Session | TableSession, constants: Sequence[str], in_place: Mapping[str, str]
 ) -> tuple[Binding, ...]:
     reads = {value.name: Binding(value.name, "read", value.fixed, value.dtype) for value in session.inputs}
     writes = {value.name: Binding(value.name, "write", value.fixed, value.dtype) for value in session.outputs
@@ -251,7 +292,8 @@ def _session_bindings(
 
 
 def _bind_session(
-    session: Session, bindings: tuple[Binding, ...], tensors: Sequence[Tensor], in_place: Mapping[str, str]
+    session: Session | TableSession, bindings: tuple[Binding, ...], tensors: Sequence[Tensor],
+    in_place: Mapping[str, str],
 ) -> Callable[[], None]:
     """A function that runs a session. What it changes in place is written elsewhere first, as its nodes may read it to
     the end."""

@@ -20,7 +20,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import Executor, Future, wait
 from functools import cache, partial
 from typing import Any, NamedTuple, Protocol
 
@@ -29,6 +29,7 @@ import numpy as np
 from postfx.errors import CommandError, CommandTimeout
 from postfx.kernels.native import MOST_WORDS, BoundRows, intrinsic, ir, types
 from postfx.kernels.numeric import compiled
+from postfx.system import Workers
 
 LOOK = 100e-6
 """Seconds that a thread spins before it sleeps: more than the gap between two kernels."""
@@ -138,7 +139,7 @@ class Helpers:
     """Up to `count` threads that work on bands beside the thread that calls; others that call wait for it."""
 
     def __init__(self, count: int) -> None:
-        self._pool = ThreadPoolExecutor(count, thread_name_prefix="postfx band")
+        self._pool = Workers(count, thread_name_prefix="postfx band")
         self._board = np.zeros((count, LINE), np.int64)
         self._board[:, TIMEOUT + 1] = NANOSECONDS
         self._bands: list[Band | None] = [None] * count

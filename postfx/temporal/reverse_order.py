@@ -170,7 +170,7 @@ class Backwards:
         self._given, self._numbers, self._asked = sequence, (*sequence.numbers, *after), len(sequence)
         self._at = {number: index for index, number in enumerate(sequence.numbers)}
         self._pass = DenoiseUpscale(**options)
-        self._pipeline = Pipeline([self._pass], device, exposure, cuts)
+        self._pipeline = Pipeline([self._pass], device, exposure, cuts, checks=False)
         self._prepare = prepare
         self._ahead, self._last = HistoryLength(find_cuts=cuts == "auto"), -1
         self._plan: Plan | None = None

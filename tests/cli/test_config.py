@@ -129,7 +129,7 @@ def test_chunks_carry_the_defaults_to_machines_that_do_not_have_them(places, sho
 def test_a_preview_leaves_out_defaults_that_need_all_frames(places, shot, monkeypatch, capsys, tmp_path):
     shot(1)
     monkeypatch.chdir(tmp_path)
-    put(tmp_path, 'preset = "animation"\ncompression = "piz"')
+    put(tmp_path, 'preset = "animation"\nbits = 32')
     watch = ["watch", "in/", "-o", "preview/", "--until", "1", "--settle", "0"]
     assert main(watch) == 0 and (tmp_path / "preview" / "shot.0001.exr").is_file()
     capsys.readouterr()
@@ -168,3 +168,23 @@ def test_quiet_prints_warnings_alone_and_verbose_each_pass(shot, tmp_path, monke
     assert main([*run, "-v", "--frames", "1"]) == 0
     said = capsys.readouterr().err
     assert "pass 1  denoise_upscale" in said and "frame 1: denoise_upscale " in said and "exposure +0.00 EV" in said
+
+
+def test_a_byte_order_mark_is_no_part_of_the_file(places):
+    (places["shots"] / "postfx.toml").write_bytes(b'\xef\xbb\xbf[run]\r\nmodel = "s"\r\n')
+    assert parse().model == "s"
+
+
+@pytest.mark.parametrize("text", ["[" * 3000, "model = " + "[" * 3000, "a" + ".a" * 50000 + " = 1",
+                                  "model = " + "{a=" * 3000])
+def test_a_file_that_is_nested_without_end_is_refused_in_one_line(places, capsys, text):
+    (places["shots"] / "postfx.toml").write_text(text)
+    assert main(["config"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "postfx.toml: cannot be read: " in told
+
+
+def test_a_run_says_which_defaults_it_takes_from_files(places, capsys):
+    path = put(places["shots"], 'model = "s"')
+    assert main(["run", "in/", "-o", "out/", "--dry-run"]) == 2  # there is no such input
+    assert f"defaults --model=s from {path}" in capsys.readouterr().err

@@ -50,9 +50,10 @@ def test_explain_and_summary_tell_the_share(postfx, ids, tmp_path):
 
 
 def test_what_is_left_alone_is_the_enlarged_input(postfx, ids, tmp_path):
-    assert postfx(*RUN, "--leave", "logo", "-o", "some/").code == 0
-    assert postfx(*RUN, "--strength", "0", "-o", "none/").code == 0
-    assert postfx(*RUN, "-o", "all/").code == 0
+    larger = (*RUN, "--scale", "2")
+    assert postfx(*larger, "--leave", "logo", "-o", "some/").code == 0
+    assert postfx(*larger, "--strength", "0", "-o", "none/").code == 0
+    assert postfx(*larger, "-o", "all/").code == 0
     some, none, everything = (pixels_of(tmp_path / folder / "shot.0002.exr") for folder in ("some", "none", "all"))
     np.testing.assert_array_equal(some[:, :60], none[:, :60])
     np.testing.assert_array_equal(some[:, 68:], everything[:, 68:])

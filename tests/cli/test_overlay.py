@@ -11,7 +11,7 @@ import pytest
 from postfx import Role, read_sequence
 from postfx.integrate import write_planes
 
-RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--model", "s", "--device", "cpu")
+RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--model", "s", "--scale", "2", "--device", "cpu")
 HEIGHT, WIDTH = 90, 160
 COLOUR, COVERAGE = np.array([0.8, 0.3, 0.1]), 0.75
 INSIDE = np.s_[4:-4, 4:-4]  # beyond the border a cubic kernel has no samples

@@ -33,7 +33,8 @@ def test_the_plan_tells_how_the_mask_is_made(postfx, smoke):
 
 def test_the_mask_changes_what_was_left_behind(postfx, smoke, tmp_path):
     for kind in ("none", "auto,threshold=0.02"):
-        assert postfx("run", "in/", "-o", f"{kind[:4]}/####.exr", "--model", "s", "--reactive", kind).code == 0
+        run = ("run", "in/", "-o", f"{kind[:4]}/####.exr", "--model", "s", "--scale", "2", "--reactive", kind)
+        assert postfx(*run).code == 0
     without, masked = (next(iter(read_sequence(tmp_path / kind, "3")))[Role.COLOUR] for kind in ("none", "auto"))
     assert np.abs(masked - without)[40:48, 60:68].max() > 0.05
 

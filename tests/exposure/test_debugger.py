@@ -197,8 +197,8 @@ def test_a_tone_mapper_of_ones_own_is_judged_by_its_own_curve(device: Device) ->
     """Alone, beside the default look, and beside the curve that it should have; right, and with each mistake."""
     same, right = (lambda told: told), View(view="reinhard")
     for by, error, view, chain in (
-        (same, 0.0, None, None), (lambda told: 2 * told, 1.0, None, None), (lambda told: told**2, 1.5, None, None),
-        (same, 0.0, ToneMap(), True), (lambda told: told / 2, -1.0, ToneMap(), True),
+        (same, 0.0, None, None), (lambda told: told**2, 1.5, None, None), (lambda told: 2 * told, 0.0, None, None),
+        (same, 0.0, ToneMap(), True), (lambda told: told / 2, -1.0, right, True),
         (lambda _: 1.0, -1.5, right, True), (lambda told: 1 / told, -3.0, right, True),
     ):
         own = [Own(view="reinhard", by=by)]

@@ -41,10 +41,11 @@ def test_known_curves_are_those_of_their_authors() -> None:
     np.testing.assert_allclose(response._hable(light[[0, -1]]), [0, 1], atol=1e-12)  # twice 5.6 is white
 
 
-def test_of_curves_that_are_alike_but_for_their_gain_the_nearest_counts() -> None:
+def test_of_curves_that_are_alike_but_for_their_gain_the_nearest_is_named() -> None:
     own, *others = (Response.of_curve(lambda light, gain=gain: reinhard(light * gain)) for gain in (1.0, 4.0, 0.5))
-    assert calibrate(own, dict(zip(("two stops", "one stop"), others, strict=True))).curve == "one stop"
-    assert calibrate(own, dict(zip(("one stop", "two stops"), others[::-1], strict=True))).curve == "one stop"
+    for known in (dict(zip(("two stops", "one stop"), others, strict=True)),
+                  dict(zip(("one stop", "two stops"), others[::-1], strict=True))):
+        assert "like that of one stop, 1.00 EV brighter" in (calibrate(own, known).remark or "")
 
 
 @pytest.fixture(scope="module")
@@ -103,13 +104,16 @@ def test_what_the_chain_does_adds_to_what_it_is_told(hand_back, chart) -> None:
     assert "adds +1.0" in (report.shots[0].cause or "") and "the chain adds" in (report.shots[0].cause or "")
 
 
-def test_a_known_curve_that_is_too_bright_is_told_by_the_chart_alone(chart, hand_back) -> None:
+def test_a_gain_in_the_chart_is_a_remark_and_no_verdict(chart, hand_back) -> None:
     judged = read_response(chart(lambda light: reinhard(2 * light)))
-    assert judged.curve == "Reinhard, sRGB"
-    boards = GradedBoards(hand_back(lambda light: reinhard(2 * light), [0.0]))
-    report = debug_graded(scene([NEEDED]), boards.level, judged, NEEDED)
-    assert report.verdict == "too bright" and report.shots[0].mismatch_ev == pytest.approx(1, abs=0.05)
-    assert read_response(chart(film)).curve == OWN_CURVE
+    assert "like that of Reinhard, sRGB, 1.00 EV brighter" in (judged.remark or "")
+    for error, verdict in ((0.0, "right"), (1.0, "too bright")):
+        boards = GradedBoards(hand_back(lambda light: reinhard(2 * light), [error]))
+        report = debug_graded(scene([NEEDED]), boards.level, judged, NEEDED)
+        assert report.verdict == verdict and report.shots[0].mismatch_ev == pytest.approx(error, abs=0.05)
+        assert report.remark == judged.remark
+    assert read_response(chart(reinhard)).remark == "its curve is that of Reinhard, sRGB"
+    assert read_response(chart(film))[1:] == (OWN_CURVE, None)
 
 
 def test_without_a_chart_the_view_is_taken_for_the_chains(hand_back, device) -> None:

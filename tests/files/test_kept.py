@@ -12,7 +12,7 @@ import pytest
 
 from postfx.cli.main import make_parser
 from postfx.cli.run_options import explain_kept
-from postfx.errors import ReadError, WriteError
+from postfx.errors import ReadError
 from postfx.frame import Frame, Role
 from postfx.io.exr.container import ExrContainer
 from postfx.io.exr.passthrough import Enlargement
@@ -181,7 +181,8 @@ def test_beside_a_larger_picture_there_are_no_deep_parts_and_no_smaller_levels(t
     file.close()
 
 
-def test_a_colour_in_layers_is_kept_and_the_picture_comes_first(tmp_path: Path) -> None:
+def test_a_colour_in_layers_gives_its_place_to_the_picture(tmp_path: Path) -> None:
+    """Blender's own denoiser was on: the noisy image stays, and what compositors show is the picture."""
     light = picture()
     layers = ("ViewLayer.Combined", "ViewLayer.Noisy Image")
     parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage}, {f"{layer}.{name}": light[name] for name in "RGBA"}, layer)
@@ -189,7 +190,8 @@ def test_a_colour_in_layers_is_kept_and_the_picture_comes_first(tmp_path: Path) 
     OpenEXR.File(parts).write(str(tmp_path / "in.exr"))
     before, (out, frame) = channel_hashes(tmp_path / "in.exr"), keep(tmp_path / "in.exr")
     after = channel_hashes(out)
-    assert {key: bits for key, bits in after.items() if key[0] != "rgba"} == before
+    shown = {key for key in after if key[0] == "ViewLayer.Combined"}
+    assert after.keys() == before.keys() and {key for key in after if after[key] != before[key]} == shown
     (again,) = read_sequence(out)
     np.testing.assert_array_equal(again[Role.COLOUR], frame[Role.COLOUR].astype(np.float16))
 
@@ -280,11 +282,39 @@ def test_the_command_line_keeps_all_or_none(postfx, shot, tmp_path: Path) -> Non
     assert not untouched(channel_hashes(tmp_path / "none/shot.0001.exr"))
 
 
-def test_what_stays_in_the_pictures_part_is_kept_by_zip_only(tmp_path: Path) -> None:
+def test_what_stays_in_the_pictures_part_gets_one_of_its_own_beside_other_compressions(tmp_path: Path) -> None:
     frame = processed(write_mixed(tmp_path / "in.exr"))
-    with pytest.raises(WriteError, match="bit for bit, with ZIP only: leave --compression dwaa out, or give --keep"):
-        write_frame(tmp_path / "out.exr", frame, keep=True, compression="dwaa")
-    assert write_frame(tmp_path / "out.exr", frame, compression="dwaa").is_file()
+    before = untouched(channel_hashes(tmp_path / "in.exr"))
+    for compression in ("dwaa:45", "piz"):
+        out = write_frame(tmp_path / "out.exr", frame, keep=True, compression=compression)
+        assert untouched(channel_hashes(out)) == before
+        assert str(oiio.ImageBuf(str(out)).spec()["compression"]).startswith(compression[:3])
+        (again,) = read_sequence(out)
+        np.testing.assert_allclose(again[Role.COLOUR], frame[Role.COLOUR], rtol=0.1, atol=0.1)
+
+
+@pytest.mark.parametrize("several", [False, True], ids=["one part", "a part for each layer"])
+def test_light_groups_take_the_place_of_their_own(tmp_path: Path, several: bool) -> None:
+    """Every name once, each in the part where it was, as programs that look for it expect."""
+    light, layers = picture(), {"ViewLayer.Combined": "RGBA", "ViewLayer.Combined_key": "RGB", "ViewLayer.Mist": "Z"}
+    held = {layer: {f"{layer}.{letter}": light["R"] * (0.5 if "key" in layer else 1) for letter in letters}
+            for layer, letters in layers.items()}
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage}, channels, layer) for layer, channels in held.items()]
+    one = [OpenEXR.Part({"type": OpenEXR.scanlineimage}, {key: value for each in held.values()
+                                                          for key, value in each.items()}, "all")]
+    OpenEXR.File(parts if several else one).write(str(tmp_path / "in.exr"))
+    (frame,) = read_sequence(tmp_path / "in.exr", aov="key")
+    (name,) = frame.parts
+    half = dataclasses.replace(
+        frame, planes={Role.COLOUR: frame[Role.COLOUR] / 2}, parts={name: frame.parts[name] / 2})
+    out = write_frame(tmp_path / "out.exr", half, keep=True)
+    before, after = (OpenEXR.File(str(path), separate_channels=True).parts for path in (tmp_path / "in.exr", out))
+    assert [(part.name(), sorted(part.channels)) for part in after] == [
+        (part.name(), sorted(part.channels)) for part in before]
+    for one, other in zip(before, after, strict=True):
+        for key, channel in one.channels.items():
+            factor = 0.5 if key[-1] in "RGB" else 1
+            np.testing.assert_allclose(other.channels[key].pixels, channel.pixels * factor, rtol=1e-3, err_msg=key)
 
 
 def test_the_command_line_keeps_nothing_beside_a_larger_picture_but_when_asked(shot, tmp_path: Path) -> None:

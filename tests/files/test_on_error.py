@@ -148,9 +148,9 @@ def test_copy_enlarges_the_picture_of_a_frame_that_lacks_a_plane(tmp_path: Path,
         planes |= {"motion.X": np.zeros((32, 48)), "motion.Y": np.zeros((32, 48))} if number != 2 else {}
         write_exr(f"in/shot.{number:04d}.exr", planes)
     monkeypatch.chdir(tmp_path)
-    common = ["--device", "cpu", "--model", "s", "--exposure", "0"]
+    common = ["--device", "cpu", "--model", "s", "--exposure", "0", "--scale", "2"]
     assert main(["run", *RUN[:3], *common, "--on-error", "copy"]) == EXIT_FAULTS
-    assert main(["run", *RUN[:2], "plain/", "--strength", "0", *common[:2], "--exposure", "0"]) == 0
+    assert main(["run", *RUN[:2], "plain/", "--strength", "0", *common[:2], *common[4:]]) == 0
     copied, plain = (next(iter(read_sequence(tmp_path / name / "shot.0002.exr")))[Role.COLOUR]
                      for name in ("out", "plain"))
     np.testing.assert_array_equal(copied, plain)

@@ -56,6 +56,12 @@ def test_malformed_profiles_are_refused_in_one_line(tmp_path: Path, text: str) -
     assert "\n" not in str(caught.value)
 
 
+def test_a_byte_order_mark_is_no_part_of_a_profile(tmp_path: Path) -> None:
+    path = tmp_path / "studio.toml"
+    path.write_bytes(b"\xef\xbb\xbfextends = 'generic'\r\ntitle = 'Studio'\r\n")
+    assert load_profile(str(path)).title == "Studio"
+
+
 def test_a_profile_that_extends_itself(tmp_path: Path) -> None:
     path = tmp_path / "studio.toml"
     path.write_text(f'extends = "{path}"')

@@ -1,4 +1,4 @@
-"""The extension for Blender: built by make, installed into bpy, on two frames that Cycles renders there.
+"""The extension for Blender: built by make, installed into bpy, on frames that Cycles renders there.
 
 It needs the package bpy, in this interpreter or in the one that POSTFX_BPY_PYTHON names.
 """
@@ -33,18 +33,72 @@ def picture(path: Path) -> np.ndarray:
     return file.read_image("float")[..., colour]
 
 
-@pytest.mark.skipif(PYTHON is None, reason="needs the package bpy (POSTFX_BPY_PYTHON names a Python that has it)")
-def test_two_frames_in_blender(tmp_path):
+needs_bpy = pytest.mark.skipif(PYTHON is None, reason="needs the package bpy (POSTFX_BPY_PYTHON names a Python "
+                               "that has it)")
+
+
+@pytest.fixture(scope="session")
+def extension() -> Path:
     subprocess.run(["make", "blender", f"PYTHON={sys.executable}"], cwd=ROOT, check=True, capture_output=True)
-    command = tmp_path / "postfx"
+    return ROOT / "dist/postfx-blender.zip"
+
+
+def in_blender(script: str, extension: Path, folder: Path) -> dict:
+    """What a script that runs in bpy prints on its last line."""
+    command = folder / "postfx"
     command.write_text(f'#!/bin/sh\nexec env PYTHONPATH={ROOT} {sys.executable} -m postfx "$@"\n')
     command.chmod(0o755)
-    environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path / "blender")}
-    done = subprocess.run([PYTHON, str(Path(__file__).with_name("blender_session.py")),
-                           str(ROOT / "dist/postfx-blender.zip"), str(tmp_path), str(command)],
+    environment = os.environ | {"BLENDER_USER_RESOURCES": str(folder / "blender")}
+    environment.pop("PYTHONPATH", None)
+    done = subprocess.run([PYTHON, str(Path(__file__).with_name(script)), str(extension), str(folder), str(command)],
                           env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    found = json.loads(done.stdout.splitlines()[-1])
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def layers(path: Path) -> dict[str, np.ndarray]:
+    """Colours of a file's parts and layers, by name."""
+    file, found, part = oiio.ImageInput.open(str(path)), {}, 0
+    while file.seek_subimage(part, 0):
+        names, pixels = list(file.spec().channelnames), file.read_image(part, 0, 0, file.spec().nchannels, "float")
+        for name in names:
+            if name.endswith(".R") and f"{name[:-1]}B" in names:
+                found[name[:-2]] = pixels[..., [names.index(f"{name[:-1]}{letter}") for letter in "RGB"]]
+        part += 1
+    return found
+
+
+@needs_bpy
+def test_the_validator_of_extensions_takes_it(extension):
+    where = subprocess.run([PYTHON, "-c", "import bpy; print(bpy.utils.system_resource('SCRIPTS'))"], check=True,
+                           capture_output=True, text=True).stdout.splitlines()[-1]
+    (validator,) = Path(where).rglob("bl_pkg/cli/blender_ext.py")
+    done = subprocess.run([PYTHON, str(validator), "validate", str(extension)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_bpy
+def test_an_artists_first_hour(extension, tmp_path):
+    found = in_blender("blender_story.py", extension, tmp_path)
+    assert found["set up"] == found["check"] == found["denoise"] == "FINISHED" and found["seeds"]
+    assert found["findings"] == found["said"] == ""
+    assert {"Combined", "Combined_key", "Combined_fill", "Depth", "Vector"} <= {*found["passes"]}
+    noisy, clean = (layers(tmp_path / "shot" / f"torus_{mark}0003.exr") for mark in ("", "denoised_"))
+    assert noisy.keys() == clean.keys()
+    first, second = (layers(tmp_path / "shot" / f"torus_000{number}.exr")["ViewLayer.Combined"] for number in (1, 2))
+    assert (first[-12:] != second[-12:]).mean() > 0.5  # the floor rests, seeds differ
+    for name in ("Combined", "Combined_key"):
+        shown, own = picture(tmp_path / f"{name}.exr"), clean[f"ViewLayer.{name}"]
+        np.testing.assert_array_equal(shown, own)
+        before = noisy[f"ViewLayer.{name}"]
+        assert np.abs(np.diff(own, axis=1)).mean() < 0.7 * np.abs(np.diff(before, axis=1)).mean()
+    np.testing.assert_allclose(clean["ViewLayer.Combined_key"] + clean["ViewLayer.Combined_fill"],
+                               clean["ViewLayer.Combined"], rtol=0.01, atol=2e-3)
+
+
+@needs_bpy
+def test_two_frames_in_blender(extension, tmp_path):
+    found = in_blender("blender_session.py", extension, tmp_path)
     assert found["wrong engine"].startswith("postfx reads passes of Cycles")
     assert found["set up"] == found["denoise"] == found["frame"] == "FINISHED"
     assert found["not rendered"].startswith("frame 1 is not rendered: there is no ")
@@ -54,7 +108,7 @@ def test_two_frames_in_blender(tmp_path):
     names = [f"box_{mark}000{number}.exr" for mark in ("", "denoised_") for number in (1, 2)]
     assert [name for name in found["files"] if name.endswith(".exr")] == sorted(names)
     assert found["modal"] == [["PASS_THROUGH", "RUNNING_MODAL", "FINISHED"],
-                              [0.0, "postfx: 0 of ? frames. Esc to stop", 1.0], ["cancel"]]
+                              [0.0, "postfx: 0 of ? frames. Esc to stop. starting", 1.0], ["cancel"]]
     assert found["stopped"] == [True, False, 0] and found["disabled"]
     noisy, clean = (picture(tmp_path / "shot" / f"box_{mark}0001.exr") for mark in ("", "denoised_"))
     assert clean.shape == (64, 96, 3)

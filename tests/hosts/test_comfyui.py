@@ -76,7 +76,7 @@ def test_frames_that_are_written_anew_are_read_again(nodes, tmp_path):
 
 def test_from_files_to_files(nodes, tmp_path):
     shot = call(nodes, "PostfxLoadSequence", pattern=ROOM, frames="1-2")
-    clean = call(nodes, "PostfxDenoise", frames=shot, model="s")
+    clean = call(nodes, "PostfxDenoise", frames=shot, scale=2.0, model="s")
     files = call(nodes, "PostfxSaveFrames", frames=clean, output=str(tmp_path / "clean.####.exr"))
     assert files == str(tmp_path / "clean.####.exr") and len(list(tmp_path.iterdir())) == 2
     pictures = call(nodes, "PostfxFramesToImages", frames=call(nodes, "PostfxLook", frames=clean))

@@ -186,3 +186,25 @@ def test_camera_space_normals_are_not_read_under_the_base_profiles_name(write_ex
 def test_luminance_and_chroma_are_no_grey(write_exr) -> None:
     with pytest.raises(MissingPlaneError, match="no plane 'colour'.*it holds Y,BY,RY"):
         read(write_exr("a.exr", flat(["Y", "RY", "BY"], 1, 1, 1)))
+
+
+@pytest.mark.parametrize("more", [{}, {"Maske.Y": 0.5}, {"depth.Z": 5.0, "albedo.R": 0.1, "albedo.G": 0.2,
+                                                         "albedo.B": 0.3}])
+def test_the_only_layer_with_colours_is_the_picture_whatever_its_name(write_exr, more) -> None:
+    layer = flat([f"Layer 1.{letter}" for letter in "RGBA"], *GREY[:3], 0.5)
+    sequence = read_sequence(write_exr("a.exr", layer | flat(list(more), *more.values())))
+    (frame,) = sequence
+    assert means(frame).items() >= {"colour": list(GREY[:3]), "alpha": [0.5]}.items()
+    assert sequence.warnings[-1] == "layer Layer 1 is read as the picture: no other holds colours"
+    assert ("diffuse_albedo" in frame.planes) == ("albedo.R" in more)
+
+
+def test_the_only_layer_may_be_grey(write_exr) -> None:
+    (frame,) = read_sequence(write_exr("a.exr", flat(["Ebene.Y"], 0.25)))
+    assert frame["colour"].shape[2] == 3 and (frame["colour"] == 0.25).all()
+
+
+def test_of_two_layers_with_colours_none_is_guessed(write_exr) -> None:
+    names = [f"{layer}.{letter}" for layer in ("one", "two") for letter in "RGB"]
+    with pytest.raises(MissingPlaneError, match=r"no plane 'colour'.*--layer NAME"):
+        read(write_exr("a.exr", flat(names, *range(6))))

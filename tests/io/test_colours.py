@@ -57,6 +57,13 @@ def assert_turned(frame: Frame, stored: np.ndarray) -> None:
     assert frame.metadata["chromaticities"] == REC709
 
 
+def test_chromaticities_of_zeros_say_nothing(write, stored) -> None:
+    sequence = read_sequence(write(chromaticities=(0.0,) * 8))
+    (frame,) = sequence
+    np.testing.assert_array_equal(frame[Role.COLOUR], stored[..., :3])
+    assert sequence.warnings == [] and "chromaticities" not in frame.metadata
+
+
 def test_chromaticities_say_it(write, stored) -> None:
     sequence = read_sequence(write(chromaticities=ACESCG))
     frame = next(iter(sequence))
@@ -125,7 +132,7 @@ def test_the_colours_part_says_it(write_parts, ramp) -> None:
 
 
 @pytest.mark.parametrize("header", [
-    {"chromaticities": (0.0,) * 8}, {"chromaticities": (0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.3127, 0.329)},
+    {"chromaticities": (0.3,) * 8}, {"chromaticities": (0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.3127, 0.329)},
     {"colorInteropID": "lin_foo_scene"}, {"colorInteropID": "srgb_rec709_display"},
 ])
 def test_colours_that_cannot_be_known_are_refused_by_name_and_may_be_declared(write, header) -> None:

@@ -46,6 +46,11 @@ def read(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
+def picture_of(channels: dict[str, np.ndarray], scale: str) -> np.ndarray:
+    """At the render's size the picture has the render's names."""
+    return layer(channels, "ViewLayer.Combined" if scale == "1" else "")
+
+
 def layer(channels: dict[str, np.ndarray], name: str) -> np.ndarray:
     return np.stack([channels[f"{name}.{letter}" if name else letter] for letter in "RGB"], axis=-1)
 
@@ -89,7 +94,8 @@ def test_cycles_passes_are_found_multiplied_denoised_and_divided_again(cycles: P
         assert main(["run", str(cycles), "-o", str(output), "--aov", "auto", "--aov-denoise", "mist=Mist", "--scale",
                      scale, "--model", "s", "--bits", "32"]) == 0
         found = read(output)
-        picture, part = layer(found, ""), {name: layer(found, f"ViewLayer.{name}") for name in kinds if name != "Mist"}
+        picture = picture_of(found, scale)
+        part = {name: layer(found, f"ViewLayer.{name}") for name in kinds if name != "Mist"}
         assert picture.shape[0] == int(scale) * SIZE[0] == found["ViewLayer.Mist.V"].shape[0]
         together = ((part["Diffuse Direct"] + part["Diffuse Indirect"]) * part["Diffuse Color"]
                     + (part["Glossy Direct"] + part["Glossy Indirect"]) * part["Glossy Color"]
@@ -108,7 +114,7 @@ def test_a_frame_of_blender_adds_up_by_groups_and_by_passes(tmp_path: Path) -> N
         assert main(["run", str(BLENDER), "-o", str(output), "--aov", "auto", "--scale", scale, "--model", "s",
                      "--bits", "32"]) == 0
         found = read(output)
-        picture, part = layer(found, ""), {name.removeprefix("ViewLayer.").rpartition(".")[0]: layer(
+        picture, part = picture_of(found, scale), {name.removeprefix("ViewLayer.").rpartition(".")[0]: layer(
             found, name.rpartition(".")[0]) for name in found if name.startswith("ViewLayer.") and name.endswith(".R")}
         groups = sum(part[f"Combined_{name}"] for name in ("key", "fill", "rim", "world"))
         passes = sum((part[f"{name} Direct"] + part[f"{name} Indirect"]) * part[f"{name} Color"]

@@ -61,3 +61,12 @@ def test_exposures_are_taken_out_and_primaries_are_used(tmp_path: Path) -> None:
 def test_headers_that_cannot_be(tmp_path: Path, lines: str, kind: str, message: str) -> None:
     with pytest.raises(ReadError, match=rf"a\.hdr: .*{message}"):
         next(iter(read_sequence(write(tmp_path / "a.hdr", lines, kind=kind))))
+
+
+def test_primaries_of_zeros_are_not_given(tmp_path: Path) -> None:
+    """As Photoshop writes them."""
+    path = write(tmp_path / "a.hdr", f"GAMMA=1\nPRIMARIES={'0 ' * 8}\n")
+    sequence = read_sequence(path)
+    (frame,) = sequence
+    np.testing.assert_array_equal(frame[Role.COLOUR][..., 0], UPRIGHT / 128)
+    assert not sequence.warnings

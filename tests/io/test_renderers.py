@@ -41,6 +41,7 @@ def _truth() -> dict[Role, np.ndarray]:
     planes[Role.NORMAL] = planes[Role.NORMAL] * 2 - 1
     planes[Role.NORMAL] /= np.linalg.norm(planes[Role.NORMAL], axis=2, keepdims=True)
     planes[Role.DEPTH][0, 0], planes[Role.NORMAL][0, 0] = DEPTH_MISS, 0  # the sky
+    planes[Role.DENOISING_ALBEDO] = planes[Role.DIFFUSE_ALBEDO]
     return planes
 
 
@@ -180,8 +181,8 @@ LAYOUTS = {
     "Blender 2.8 to 4 without its header": Layout(
         "cycles-4", blender("RenderLayer", "DiffCol", "GlossCol"), ALL_BUT_ROUGHNESS),
     "Blender 4, Denoising Data": Layout(
-        "cycles-4", denoising_data(ray_lengths(0)), SURFACE, {"Software": "Blender 4.2.1", **CAMERA_FORWARD},
-        depth=f"ray,fov={FOV},miss=0"),
+        "cycles-4", denoising_data(ray_lengths(0)), SURFACE | {Role.DENOISING_ALBEDO},
+        {"Software": "Blender 4.2.1", **CAMERA_FORWARD}, depth=f"ray,fov={FOV},miss=0"),
     "Cycles in Gaffer, a file a plane": Layout("cycles-hosts", {
         "beauty": picture(), "diffuse_color": store("", "RGB", DIFFUSE), "glossy_color": store("", "RGB", SPECULAR),
         "normal": store("", "RGB", NORMAL), "depth": store("", "Z", DEPTH), "roughness": store("", "R", ROUGHNESS),

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.errors import MissingFrameError, SequenceError
+from postfx.errors import MissingFrameError, SequenceError, WriteError
 from postfx.frame import Role
 from postfx.io.pattern import format_frames, locate, parse_frames, parse_pattern
 from postfx.io.sequence import read_sequence
+from postfx.io.writer import OutputFiles
 
 
 @pytest.fixture
@@ -47,6 +48,45 @@ def test_negative_frames_keep_their_digits():
 def test_two_numbers_in_a_name_are_refused():
     with pytest.raises(SequenceError, match="give the frame number once"):
         parse_pattern("a.####.%04d.exr")
+
+
+@pytest.mark.parametrize("name", ["shots #12", "a@@b", "take %04d", "$F4", "{view}", "{plane}", "%V", "[x]*?"])
+def test_signs_in_the_name_of_a_folder_that_is_there_are_part_of_it(name, shot, tmp_path):
+    folder = tmp_path / name
+    folder.mkdir()
+    for path in shot(1, 2).glob("*.exr"):
+        path.rename(folder / path.name)
+    for source in (folder, f"{folder}/shot.####.exr", f"{folder}/shot.*.exr", [folder / "shot.0001.exr"]):
+        sequence = read_sequence(source)
+        numbers = [1] if isinstance(source, list) else [1, 2]
+        assert [frame.number for frame in sequence] == numbers
+        assert sequence.inputs(1) == [folder / "shot.0001.exr"]
+    outputs = OutputFiles(f"{folder}/out.####.exr", read_sequence(folder))
+    assert outputs.path(2) == folder / "out.0002.exr"
+    if name != "{plane}":
+        assert OutputFiles(f"{tmp_path}/new {name}/", read_sequence(folder)).path(2).parent.name == f"new {name}"
+    with pytest.raises(WriteError, match="would be a frame of the input"):
+        OutputFiles(f"{folder}/shot.0003.exr", read_sequence(f"{folder}/shot.####.exr", frames="1"))
+
+
+def test_a_number_in_the_name_of_a_folder_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(SequenceError, match=r"once, in the file name, or make the folder '.*shots #12' first"):
+        parse_pattern(f"{tmp_path}/shots #12/a.####.exr")
+
+
+def test_numbers_that_outgrow_their_digits_are_all_read(shot):
+    """Frames that nothing pads: 998 is as much one of #### as 1002."""
+    folder = shot(*range(998, 1003), name="shot.{}.exr")
+    sequence = read_sequence(f"{folder}/shot.####.exr")
+    assert [frame.number for frame in sequence] == [998, 999, 1000, 1001, 1002] and not sequence.warnings
+
+
+def test_shorter_numbers_beside_padded_ones_are_left_out_and_named(shot):
+    folder = shot(7, name="shot.{}.exr")
+    shot(1, 2)
+    sequence = read_sequence(f"{folder}/shot.####.exr")
+    assert sequence.numbers == (1, 2)
+    assert [warning.split(":")[0] for warning in sequence.warnings] == ["shot.7.exr"]
 
 
 @pytest.mark.parametrize(

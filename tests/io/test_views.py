@@ -112,7 +112,7 @@ def test_windows_of_their_own(tmp_path: Path) -> None:
 def test_an_enlarged_pair_keeps_its_layout(tmp_path: Path, kind: str, keep: bool | None) -> None:
     path = write(tmp_path / "in.exr", layouts(picture(1, "RGBAZ"), picture(2, "RGBAZ"))[kind])
     (frame,) = read_sequence(path, view="all", planes=[Role.COLOUR, Role.ALPHA])
-    larger = Pipeline([DenoiseUpscale(strength=0.0)])(frame)
+    larger = Pipeline([DenoiseUpscale(scale=2, strength=0.0)])(frame)
     found = channels_of(write_frame(tmp_path / "out.exr", larger, keep=keep))
     names = {name for *_, held in found for name in held}
     letters = {*"RGBA"} if kind != KINDS[0] else {*"RGBA", *(f"right.{name}" for name in "RGBA")}

@@ -28,6 +28,7 @@ from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, mea
 from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, LEVEL, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
+from postfx.kernels.partner import ENLARGE_MOTION, MIX_PARTNER
 from postfx.passes.denoise.tiling import Sizes, Window
 from postfx.runtime import ArgumentTable, Device
 from postfx.runtime.states import parse
@@ -45,6 +46,7 @@ KERNELS = (
     STORE_RINGED,
     REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, GATHER, LEVEL, ENLARGE_ALPHA, FIT, CORRECT,
     DECODE, DECODE_ONE,
+    MIX_PARTNER, ENLARGE_MOTION,
 )
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
@@ -87,6 +89,8 @@ class Case(NamedTuple):
                 **dict.fromkeys(("reached_h", "reached_w"), 1 if self.h % 2 else 9),
                 "near_h": 1 if self.w % 3 == 2 else -(-self.h // NEAR_CELL),
                 "near_w": 1 if self.w % 3 == 2 else -(-self.w // NEAR_CELL),
+                **self._one_or_all("motion", self.h % 2), **self._one_or_all("weight", self.h % 3 == 0),
+                **self._one_or_all("strength", self.w % 2),
                 **{f"level{i}_{side}": size for i in range(1, 5)
                    for side, size in zip("hw", window.level(i), strict=True)},
                 "alpha_h": -(-self.h // NEAR_CELL), "alpha_w": -(-self.w // NEAR_CELL),
@@ -95,6 +99,10 @@ class Case(NamedTuple):
                 "cells_h": -(-window.rows // 8), "cells_w": -(-window.columns // 8),
                 **dict(zip(("means_h", "means_w"), means_size(window.rows, window.columns), strict=True)),
                 "tiles_high": -(-self.h // 16), "tiles_wide": -(-self.w // 16), **self._keep(window)}
+
+    def _one_or_all(self, name: str, one: int) -> dict[str, int]:
+        """Sizes of a plane of the output, or of one pixel that stands for all."""
+        return {f"{name}_h": 1 if one else self.height, f"{name}_w": 1 if one else self.width}
 
     def _keep(self, window: Window) -> dict[str, int]:
         """One number for all pixels in half of the cases."""
@@ -222,7 +230,9 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.ones(size) if size[1] == 1 else unit > 0.3
     if name == "complete":
         return np.array([case.w % 2])
-    if name in ("part", "colour", "opaque_colour", "denoised"):
+    if name == "settings":  # of a mixture: half of the cases have a history
+        return np.array([1.7, 0.5, case.w % 2, 0.8 if case.h % 2 else 1.0])
+    if name in ("part", "colour", "opaque_colour", "denoised", "partner"):
         return 40 * unit**4
     if name in ("past", "state", "next_state"):  # with holes, where the history does not know a pixel
         unit[..., 3][random.random(size[:2]) < 0.05] = -1 / 30 if name == "past" else 0

@@ -1,7 +1,9 @@
 """Compiled kernels that are kept: named by what they are made of, and unpickled, so nobody else may put them there."""
 
+import hashlib
 import importlib
 import os
+import pickle
 import pkgutil
 import subprocess
 import sys
@@ -159,3 +161,32 @@ def test_what_is_loaded_does_not_wait_for_the_compiler(tmp_path):
     runs = [subprocess.run([sys.executable, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True,
                            check=True).stdout.split() for _ in range(2)]
     assert runs == [["6.0", "True"], ["6.0", "False"]]
+
+
+DAMAGES = {
+    "cut": lambda content: content[: len(content) // 2],
+    "empty": lambda content: b"",
+    "a bit": lambda content: content[:100] + bytes([content[100] ^ 4]) + content[101:],
+    "machine code": lambda content: content[: len(content) // 2] + bytes(64) + content[len(content) // 2 + 64:],
+    "other bytes": lambda content: b"not a kernel",
+    "a pickle of something else": lambda content: seal(pickle.dumps((1, 2, 3))),
+}
+
+
+def seal(content: bytes) -> bytes:
+    return content + hashlib.sha256(content).digest()
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_file_is_made_again_in_silence(tmp_path, monkeypatch, capfd, damage):
+    monkeypatch.setattr(compile_cache, "cache_folder", lambda: tmp_path)
+    monkeypatch.setitem(sys.modules, "source", load(SOURCE))
+    expected = pytest.approx(1 + np.log(6))
+    assert load(SOURCE).function(3.0) == expected
+    (path,) = tmp_path.iterdir()
+    content = path.read_bytes()
+    path.write_bytes(DAMAGES[damage](content))
+    again, later = load(SOURCE).function, load(SOURCE).function
+    assert again(3.0) == expected and again.stats.cache_misses
+    assert later(3.0) == expected and not later.stats.cache_misses
+    assert list(tmp_path.iterdir()) == [path] and capfd.readouterr().err == ""

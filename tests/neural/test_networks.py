@@ -82,6 +82,12 @@ def in_frame(device: Device, learner: Learner, points: np.ndarray, targets: np.n
     return values.download()
 
 
+def gradients_of(learner):
+    """Of the mean squared error of the points that were learnt."""
+    sums = learner._last.download().sum(0)
+    return sums[:-2] / sums[-1]
+
+
 @every_network
 def test_values_and_gradients_are_those_of_torch(network):
     twin = Twin(network)
@@ -89,7 +95,7 @@ def test_values_and_gradients_are_those_of_torch(network):
     learner = Learner(device, network, 0.0, twin.start)
     values = in_frame(device, learner, twin.points, twin.targets)
     wanted, error = twin.gradients(twin.targets)
-    found = learner._last.array[:, :-1].sum(0)
+    found = gradients_of(learner)
     np.testing.assert_allclose(values, twin.run(torch.from_numpy(twin.points)).detach(), atol=1e-5, rtol=1e-5)
     np.testing.assert_allclose(found, wanted, atol=1e-5)
     assert learner.error() == pytest.approx(error, rel=1e-5) and abs(wanted).max() > 0.01
@@ -98,13 +104,14 @@ def test_values_and_gradients_are_those_of_torch(network):
 def test_steps_are_those_of_adam_in_torch():
     """The same gradients to both, as tiny ones decide the sign of a step."""
     random = np.random.default_rng(0)
-    start, partials = random.normal(size=50).astype(np.float32), random.normal(size=(3, 51)).astype(np.float32)
+    start, partials = random.normal(size=50).astype(np.float32), random.normal(size=(3, 52)).astype(np.float32)
+    partials[:, -1] = 0.25, 0, 0.25  # half of the points are learnt
     parameters = torch.nn.Parameter(torch.from_numpy(start.copy()))
     adam = torch.optim.Adam([parameters], 0.01, DECAYS, EPSILON)
     found, moments = start.copy(), np.zeros((50, 3), np.float32)
     for step in range(5):
-        scaled = partials * np.float32(1 + step)
-        parameters.grad = torch.from_numpy(scaled[:, :-1].sum(0))
+        scaled = partials * np.append(np.full(51, 1 + step), 1).astype(np.float32)
+        parameters.grad = torch.from_numpy(2 * scaled[:, :-2].sum(0))
         adam.step()
         ADAM.rows(0, 20, scaled, np.float32([0.01, *DECAYS, EPSILON]), found, moments)
         ADAM.rows(20, 50, scaled, np.float32([0.01, *DECAYS, EPSILON]), found, moments)
@@ -123,9 +130,12 @@ def test_threads_do_not_change_a_bit():
         np.testing.assert_array_equal(one, other)
 
 
-def test_points_without_a_target_add_nothing():
+@pytest.mark.parametrize("every", [3, 100])
+def test_points_without_a_target_count_nowhere(every):
+    """Not in the sums, nor in what these are divided by: with 99 % empty points, too."""
     network, twin = NETWORKS[1], Twin(NETWORKS[1], 300)
-    holes = np.arange(len(twin.points)) % 3 == 0
+    holes = np.arange(len(twin.points)) % every == 0
+    holes = holes if every == 3 else ~holes
     device, targets = Device("cpu", threads=2), twin.targets.copy()
     targets[holes, 1] = np.nan
     learner = Learner(device, network, 0.0, twin.start)
@@ -133,8 +143,32 @@ def test_points_without_a_target_add_nothing():
     with torch.no_grad():
         filled = np.where(holes[:, None], twin.run(torch.from_numpy(twin.points)).numpy(), targets)
     wanted, error = twin.gradients(filled)
-    np.testing.assert_allclose(learner._last.array[:, :-1].sum(0), wanted, atol=1e-6)
-    assert learner.error() == pytest.approx(error, rel=1e-5)
+    learnt = 1 - holes.mean()
+    np.testing.assert_allclose(gradients_of(learner), wanted / learnt, atol=1e-6 / learnt)
+    assert learner.error() == pytest.approx(error / learnt, rel=1e-5)
+
+
+@pytest.mark.parametrize("dims", [0, 2])
+def test_empty_points_change_no_step(dims):
+    """The points that are learnt alone, and among others that are not: the same error and the same step."""
+    random = np.random.default_rng(4)
+    points, targets = random.uniform(0, 1, (40, 2)).astype(np.float32), random.normal(size=(40, 1)).astype(np.float32)
+    among, empty = np.repeat(points, 100, 0), np.full((4000, 1), np.nan, np.float32)
+    empty[::100] = targets
+    grid = Grid(2, levels=3, entries=256, sides=(4, 16)) if dims else None
+    network, errors, made = Network(grid.width if grid else 2, (8,), 1, "gelu"), [], []
+    for seen, wanted in ((points, targets), (among, empty)):
+        learner = Learner(Device("cpu", threads=1), network, 1e-2, grid=grid)
+        made.append(in_frame(learner.device, learner, seen, wanted, 3)[::len(seen) // 40])
+        errors.append(learner.error())
+    assert errors[1] == pytest.approx(errors[0], rel=1e-5)
+    np.testing.assert_allclose(made[1], made[0], atol=1e-5)
+
+
+def test_an_error_of_no_points_is_no_number():
+    learner = Learner(Device("cpu", threads=1), Network(2, (4,), 1))
+    in_frame(learner.device, learner, np.zeros((8, 2), np.float32), np.full((8, 1), np.nan, np.float32))
+    assert np.isnan(learner.error()) and np.isfinite(learner.parameters.download()).all()
 
 
 @pytest.mark.gpu
@@ -146,15 +180,16 @@ def test_a_gpu_computes_what_torch_does(network):
     twin.targets[::7, 0] = np.nan
     with torch.no_grad():
         made = twin.run(torch.from_numpy(twin.points)).numpy()
-    wanted, error = twin.gradients(np.where(np.isfinite(twin.targets).all(1)[:, None], twin.targets, made))
+    known = np.isfinite(twin.targets).all(1)
+    wanted, error = (part / known.mean() for part in twin.gradients(np.where(known[:, None], twin.targets, made)))
     learner, found = Learner(device, network, 0.0, twin.start), []
     for _ in range(2):
         values = in_frame(device, learner, twin.points, twin.targets)
         found.append((values, learner._last.download()))
     print(f"{network.sizes}: values {np.abs(values - made).max():.1e}, "
-          f"gradients {np.abs(found[0][1][:, :-1].sum(0) - wanted).max():.1e} of {np.abs(wanted).max():.1e}")
+          f"gradients {np.abs(gradients_of(learner) - wanted).max():.1e} of {np.abs(wanted).max():.1e}")
     np.testing.assert_allclose(values, made, atol=1e-5, rtol=1e-5)
-    np.testing.assert_allclose(found[0][1][:, :-1].sum(0), wanted, atol=1e-5)
+    np.testing.assert_allclose(gradients_of(learner), wanted, atol=1e-5)
     assert learner.error() == pytest.approx(error, rel=1e-5)
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -184,7 +219,7 @@ def test_cuda_kernels_compute_what_the_compiled_rows_do(network, shared):
     twin = Twin(network, 150)
     inputs = {"network": network.facts(), "parameters": twin.start, "points": twin.points, "targets": twin.targets}
     inputs["targets"][5, 0] = np.inf
-    sizes = {"values": twin.targets.shape, "pulls": twin.points.shape, "partials": (2, network.count + 1)}
+    sizes = {"values": twin.targets.shape, "pulls": twin.points.shape, "partials": (2, network.count + 2)}
     for kernel, rows in ((FORWARD, len(twin.points)), (GRADIENTS, 2)):
         given = {binding: inputs[binding] for binding in kernel.reads}
         wanted, found = ({name: np.full(sizes[name], np.nan, np.float32) for name in kernel.writes} for _ in range(2))
@@ -317,10 +352,11 @@ def test_the_cuda_kernels_of_a_grid_compute_what_the_compiled_rows_do(dims):
         kernel.rows(0, len(made), *given.values(), made)
         host_cuda.run(kernel, given | {name: found})
         np.testing.assert_allclose(found / UNITS, made / UNITS, atol=1e-6)
-    hyper = np.float32([0.01, *DECAYS, EPSILON])
+    hyper, partials = np.float32([0.01, *DECAYS, EPSILON]), np.full((2, 7), 0.25, np.float32)
     states = [(table.copy(), np.full((5, 512, 3), 0.5, np.float32)) for _ in range(2)]
-    GRID_STEP.rows(0, 5, made, hyper, *states[0])
-    host_cuda.run(GRID_STEP, {"sums": made, "hyper": hyper, "table": states[1][0], "moments": states[1][1]})
+    GRID_STEP.rows(0, 5, made, partials, hyper, *states[0])
+    host_cuda.run(GRID_STEP, {"sums": made, "partials": partials, "hyper": hyper, "table": states[1][0],
+                              "moments": states[1][1]})
     for one, other in zip(*states, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
 

@@ -197,7 +197,7 @@ def test_it_is_exposed_with_the_picture(device: Device) -> None:
     """Composited in the scene's light, then exposed: as one picture."""
     frame = covered(0.02, particles(20))
     for exposure in (-2.0, 3.0):
-        passes = [DenoiseUpscale(strength=0), Overlay(), Display()]
+        passes = [DenoiseUpscale(scale=2, strength=0), Overlay(), Display()]
         found = Pipeline(passes, device, exposure=exposure)(frame)[Role.COLOUR]
         wanted = Pipeline([Display()], device, exposure=exposure)(composited(frame, device))[Role.COLOUR]
         np.testing.assert_array_equal(found, wanted)

@@ -27,7 +27,7 @@ def shown(colour: np.ndarray) -> np.ndarray:
 
 
 def run(frames: list[Frame], device: Device | None = None, **options: object) -> list[np.ndarray]:
-    upscaler = DenoiseUpscale(**{"model": CLASSIC, **options})
+    upscaler = DenoiseUpscale(**{"model": CLASSIC, "scale": 2, **options})
     chain = Pipeline([upscaler], device or Device("cpu", threads=2), exposure=0.0)
     return [chain(frame)[Role.COLOUR].copy() for frame in frames]
 
@@ -116,5 +116,39 @@ def test_it_needs_no_onnx_runtime(tmp_path: Path) -> None:
                           text=True)
     assert made.returncode == 0, made.stderr
     assert (tmp_path / "a.0001.exr").stat().st_size > 10000
-    refused = subprocess.run([*command, "-o", str(tmp_path / "b.####.exr")], capture_output=True, text=True)
-    assert refused.returncode and "onnxruntime" in refused.stderr and "--model classic" in refused.stderr
+    assert "onnxruntime" not in made.stdout + made.stderr
+    for options in ((), ("--budget", "10000"), ("--model", "s.fp32")):  # the filter stands in for what is shipped
+        fallen = subprocess.run([*command, *options, "--overwrite", "-o", str(tmp_path / "b.####.exr")],
+                                capture_output=True, text=True)
+        assert fallen.returncode == 0, fallen.stderr
+        assert (fallen.stdout + fallen.stderr).count("onnxruntime is missing") == 1
+        (one,), (other,) = (list(postfx.read_sequence(tmp_path / f"{name}.####.exr")) for name in "ab")
+        np.testing.assert_array_equal(one[Role.COLOUR], other[Role.COLOUR])
+
+
+def test_without_onnx_runtime_looks_that_are_tables_stay_and_the_rest_is_named() -> None:
+    """In one process: the same picture by a table, a warning of the filter, and an error of a look's network."""
+    code = f"""
+import sys, warnings
+import numpy as np
+import postfx
+from postfx import Pipeline, Role
+from postfx.errors import ModelError
+from postfx.passes.registry import create
+frame = next(iter(postfx.read_sequence({str(ROOM / 'noisy.####.exr')!r})))
+for look in ("aces2", "agx", "pbr_neutral"):
+    print(look, Pipeline([create("tonemap", tag=look)], exposure=0.0)(frame)[Role.COLOUR].astype(float).sum())
+if len(sys.argv) > 1:
+    try:
+        Pipeline([create("tonemap", tag="auto")])(frame)
+    except ModelError as error:
+        assert "are tables" in str(error), error
+    with warnings.catch_warnings(record=True) as told:
+        create("denoise_upscale")
+    assert "onnxruntime is missing" in str(told[0].message)
+"""
+    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    hidden = f"import sys; sys.modules['onnxruntime'] = None\n{code}"
+    missing = subprocess.run([sys.executable, "-c", hidden, "missing"], capture_output=True, text=True)
+    assert there.returncode == missing.returncode == 0, there.stderr + missing.stderr
+    assert there.stdout == missing.stdout and there.stdout.count("\n") == 3

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postfx.colour import WIDER
-from postfx.doctor.inspection import look_once
+from postfx.doctor.first_frames import FirstFrames
 from postfx.frame import GUIDE_ROLES, Frame, Role
 from postfx.kernels.statistics import OUTSIDE, light_outside
 from postfx.passes.denoise import DenoiseUpscale
@@ -156,7 +156,7 @@ def test_guides_are_converted_too(device: Device) -> None:
 
 
 def test_the_user_is_warned_where_it_is_cut() -> None:
-    told = look_once(lit(1), {}, on_gpu=True)
+    told = FirstFrames(on_gpu=True).look(lit(1))
     assert any("outside the gamut" in text for text in told)
-    assert [text for text in told if "gamut" not in text] == look_once(lit(1), {})
-    assert not any("gamut" in text for text in look_once(lit(1, GREYS), {}, on_gpu=True))
+    assert [text for text in told if "gamut" not in text] == FirstFrames().look(lit(1))
+    assert not any("gamut" in text for text in FirstFrames(on_gpu=True).look(lit(1, GREYS)))

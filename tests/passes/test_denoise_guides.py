@@ -41,7 +41,7 @@ def lit(number: int, size: tuple[int, int] = (48, 80)) -> Frame:
 def test_output_size_follows_from_the_guides() -> None:
     chain = pipeline()
     assert chain(guided(noisy(1), 56, 75))[Role.COLOUR].shape == (56, 75, 3)
-    assert chain(noisy(1))[Role.COLOUR].shape == (74, 100, 3)
+    assert chain(noisy(1))[Role.COLOUR].shape == (37, 50, 3)
     assert chain(guided(noisy(1), 110, 149))[Role.COLOUR].shape == (110, 149, 3)
     assert chain(replace(noisy(1), guide_size=(75, 56)))[Role.COLOUR].shape == (56, 75, 3)
 
@@ -158,7 +158,7 @@ def test_a_model_that_reads_no_guides_says_so_and_uses_them_for_missing_planes_o
     monkeypatch.setattr(models, "Library", lambda: Library(tmp_path))
     frame = guided(noisy(1), 74, 100)
     chain = pipeline()
-    alone = pipeline()(replace(frame, guides={}, guide_size=None))[Role.COLOUR]
+    alone = pipeline(scale=2)(replace(frame, guides={}, guide_size=None))[Role.COLOUR]
     np.testing.assert_array_equal(chain(frame)[Role.COLOUR], alone)
     assert chain.plan.guides == ()
     assert any("model 'small' does not read guides" in remark for remark in chain.plan.remarks)

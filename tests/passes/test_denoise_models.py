@@ -62,7 +62,7 @@ def test_endings_of_networks_that_are_taken_by_themselves() -> None:
 
 def test_both_precisions_give_nearly_the_same() -> None:
     frame = noisy(1)
-    results = [Pipeline([DenoiseUpscale(model=tag)], CPU, exposure=0.0)(frame)[Role.COLOUR]
+    results = [Pipeline([DenoiseUpscale(scale=2, model=tag)], CPU, exposure=0.0)(frame)[Role.COLOUR]
                for tag in ("s", "s.int8", "s.fp32")]
     np.testing.assert_array_equal(results[0], results[1])
     error = np.abs(results[0] - results[2]).mean() / np.abs(results[2]).mean()
@@ -70,7 +70,7 @@ def test_both_precisions_give_nearly_the_same() -> None:
 
 
 def colour_of(**options: object) -> np.ndarray:
-    return Pipeline([DenoiseUpscale(**options)], CPU, exposure=0.0)(noisy(1))[Role.COLOUR]
+    return Pipeline([DenoiseUpscale(**{"scale": 2, **options})], CPU, exposure=0.0)(noisy(1))[Role.COLOUR]
 
 
 @pytest.fixture

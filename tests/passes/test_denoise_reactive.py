@@ -33,7 +33,7 @@ def sequence() -> list[Shot]:
 
 
 def run(frames: list[Frame], device: Device, **options) -> list[np.ndarray]:
-    pipeline = Pipeline([DenoiseUpscale(**options)], device, exposure="metadata", cuts="none")
+    pipeline = Pipeline([DenoiseUpscale(**{"scale": 2, **options})], device, exposure="metadata", cuts="none")
     return [pipeline(replace(frame, exposure=frame.exposure or 1.0))[Role.COLOUR] for frame in frames]
 
 

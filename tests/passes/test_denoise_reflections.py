@@ -198,7 +198,7 @@ def test_reflections_are_better_with_the_hit_distance(model: str, device: Device
                                       if role is not Role.SPECULAR_HIT_DISTANCE}) for frame in frames]
     results = {}
     for name, some in (("with", frames), ("without", without)):
-        pipeline = Pipeline([DenoiseUpscale(model=model)], device, exposure=0.0, cuts="none")
+        pipeline = Pipeline([DenoiseUpscale(scale=2, model=model)], device, exposure=0.0, cuts="none")
         results[name] = [psnr(pipeline(frame)[Role.COLOUR], frame.number) for frame in some]
     gain = np.subtract(results["with"], results["without"])
     assert gain[0] == 0 and gain[4:].mean() > 1, gain
@@ -206,7 +206,7 @@ def test_reflections_are_better_with_the_hit_distance(model: str, device: Device
 
 def test_the_plan_and_the_report_tell(device: Device) -> None:
     frames = [replace(scene.frame(number), fov_x=None) for number in range(3)]
-    pipeline = Pipeline([DenoiseUpscale(model="s")], device, exposure=0.0)
+    pipeline = Pipeline([DenoiseUpscale(scale=2, model="s")], device, exposure=0.0)
     results = [pipeline(frame) for frame in frames]
     assert "specular_hit_distance; writes colour" in str(pipeline.plan).replace("roughness, ", "")
     assert "smooth reflections move by their hit distance" in str(pipeline.plan)

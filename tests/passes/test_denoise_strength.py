@@ -24,7 +24,7 @@ def device() -> Device:
 
 
 def run(frames: list[Frame], device: Device, **options) -> list[np.ndarray]:
-    pipeline = Pipeline([DenoiseUpscale(**options)], device, exposure=0.0)
+    pipeline = Pipeline([DenoiseUpscale(**{"scale": 2, **options})], device, exposure=0.0)
     return [pipeline(frame)[Role.COLOUR] for frame in frames]
 
 
@@ -130,7 +130,7 @@ def test_nothing_is_read_or_run_for_nothing() -> None:
     assert (bare.planes, bare.guides) == ((Role.COLOUR,), ())
     assert bare.remarks == ("denoise_upscale: strength 0: the input is only resampled",)
     assert Role.STRENGTH in Pipeline([DenoiseUpscale()]).explain(spec).planes
-    alone = DenoiseUpscale(strength=0)
+    alone = DenoiseUpscale(scale=2, strength=0)
     assert Pipeline([alone])(noisy(1))[Role.COLOUR].shape == (74, 100, 3) and not hasattr(alone._ready, "frames")
 
 

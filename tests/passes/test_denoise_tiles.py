@@ -46,7 +46,7 @@ def room() -> list[Frame]:
 
 
 def chain(device: Device, **options) -> Pipeline:
-    return Pipeline([DenoiseUpscale(**options)], device)
+    return Pipeline([DenoiseUpscale(**{"scale": 2, **options})], device)
 
 
 def seen(colour: np.ndarray, exposure: float) -> np.ndarray:
@@ -241,7 +241,7 @@ def test_what_becomes_active_is_denoised_as_in_a_first_frame(device: Device, roo
     found = moved(masked(room[1], second))[Role.COLOUR]
     alone = chain(device, model="m.fp32")
     wanted = alone(replace(masked(room[1], second), reset=True))[Role.COLOUR]
-    fixed = Pipeline([DenoiseUpscale(model="m.fp32")], device, exposure=np.log2(moved.exposure))
+    fixed = Pipeline([DenoiseUpscale(scale=2, model="m.fp32")], device, exposure=np.log2(moved.exposure))
     wanted = fixed(replace(masked(room[1], second), reset=True))[Role.COLOUR]
     error = np.abs(seen(found, moved.exposure) - seen(wanted, moved.exposure)).max(2)
     assert error[full(second)].max() < 1e-3
@@ -264,7 +264,7 @@ def test_nothing_active_runs_no_network_and_drops_the_history(device: Device, ro
     tiled(masked(room[0], 1))
     np.testing.assert_array_equal(tiled(masked(room[1], 0))[Role.COLOUR], resampled(room[1], Role.COLOUR, 2))
     found = tiled(masked(room[2], 1))[Role.COLOUR]
-    fixed = Pipeline([DenoiseUpscale(model="s")], device, exposure=np.log2(tiled.exposure))
+    fixed = Pipeline([DenoiseUpscale(scale=2, model="s")], device, exposure=np.log2(tiled.exposure))
     np.testing.assert_array_equal(found, fixed(room[2])[Role.COLOUR])
     assert any("strength is 0 everywhere" in item.why for item in tiled.explain().skips)
 
@@ -307,7 +307,7 @@ def test_a_still_picture_is_not_moved(device: Device) -> None:
         frame.planes[Role.MOTION][:] = 0
     tiny = [replace(frame, planes={**frame.planes, Role.MOTION: np.full_like(frame[Role.MOTION], 1e-30)})
             for frame in frames]
-    still, moving = (Pipeline([DenoiseUpscale()], device, exposure=0.0) for _ in range(2))
+    still, moving = (Pipeline([DenoiseUpscale(scale=2)], device, exposure=0.0) for _ in range(2))
     for one, other in zip(frames, tiny, strict=True):
         np.testing.assert_array_equal(still(one)[Role.COLOUR], moving(other)[Role.COLOUR])
     reasons = [item.why for item in still.explain().skips]

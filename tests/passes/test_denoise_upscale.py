@@ -22,7 +22,7 @@ def device() -> Device:
 
 
 def run(frames: list[Frame], device: Device, exposure: float | str = 0.0, **options) -> list[Frame]:
-    pipeline = Pipeline([DenoiseUpscale(**options)], device, exposure=exposure)
+    pipeline = Pipeline([DenoiseUpscale(**{"scale": 2, **options})], device, exposure=exposure)
     return [pipeline(frame) for frame in frames]
 
 

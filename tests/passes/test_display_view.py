@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from postfx.colour import REC709, matrix_between
 from postfx.colour.displays import parse_display
+from postfx.colour.ocio import file_transform, view_transform
 from postfx.colour.views import bake, find_view, is_view
 from postfx.errors import ColourError
 from postfx.frame import Frame, Role
@@ -173,3 +175,27 @@ def test_the_users_config_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("OCIO", str(tmp_path / "none.ocio"))
     with pytest.raises(ColourError, match="none.ocio: not a readable OpenColorIO config"):
         find_view("ocio:", parse_display("srgb"))
+
+
+BROKEN_TABLES = {
+    "a.cube": b"\xff\xfe\x80LUT_3D_SIZE 2\n", "b.cube": b"LUT_3D_SIZE \xff\xfe\n", "a.spi3d": b"SPILUT \xff 1.0\n3 3\n",
+    "a.csp": b"CSPLUTV100\n3D\n\nBEGIN METADATA\n\xff\nEND METADATA\n\xfe\n", "b.csp": b"\xffCSPLUTV100\n3D\n",
+    "a.3dl": b"\xff\xfe 1 2 3\n", "a.clf": b"<ProcessList id='\xff\xfe'/>", "all.cube": bytes(range(256)),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN_TABLES)
+def test_a_broken_table_whose_bytes_are_no_text_is_refused_in_one_line(tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(BROKEN_TABLES[name])
+    with pytest.raises(ColourError, match=re.escape(name)) as caught:
+        file_transform(f"{path},input=ACEScct").apply(np.zeros((1, 3)))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_broken_config_whose_bytes_are_no_text_is_refused_in_one_line(tmp_path, monkeypatch):
+    (tmp_path / "config.ocio").write_bytes(b"ocio_profile_version: \xff\xfe\n")
+    monkeypatch.setenv("OCIO", str(tmp_path / "config.ocio"))
+    with pytest.raises(ColourError, match=r"config\.ocio: not a readable OpenColorIO config") as caught:
+        view_transform("", parse_display("srgb"))
+    assert "\n" not in str(caught.value)

@@ -1,5 +1,6 @@
 """Several runs, one folder: nothing is written twice at once, and what dead processes left is taken over."""
 
+import errno
 import json
 import multiprocessing
 import os
@@ -14,7 +15,7 @@ import pytest
 from postfx.errors import RunError
 from postfx.runs import locks as claim_module
 from postfx.runs.folder import RunFolder
-from postfx.runs.locks import OLD, Claim, FolderLock, Process, age_of, is_alive
+from postfx.runs.locks import EMPTY, OLD, PATIENCE, Claim, FolderLock, Process, age_of, is_alive
 from postfx.runs.manifest import NAME, Output, load_manifest, update_manifest
 
 SLOW = {"at": "postfx.cli.job.write_frame", "do": "sleep", "seconds": 0.5}
@@ -114,6 +115,68 @@ def test_old_lock_of_another_machine_is_taken_over(lock, content):
     os.utime(lock, (long_ago, long_ago))
     with FolderLock(lock, patience=5):
         pass
+
+
+@pytest.mark.parametrize("content", ["", "{"])
+def test_lock_that_names_nobody_is_taken_over_before_patience_ends(lock, content):
+    """A run that is killed between making the file and writing it leaves one."""
+    lock.write_text(content)
+    a_while_ago = time.time() - EMPTY - 1
+    os.utime(lock, (a_while_ago, a_while_ago))
+    with FolderLock(lock, patience=1):
+        assert Process.of(json.loads(lock.read_text())) == Process.me()
+    assert EMPTY < PATIENCE / 2
+
+
+def test_lock_is_never_seen_empty(lock, monkeypatch):
+    seen = []
+    link = os.link
+    monkeypatch.setattr(os, "link", lambda one, other: seen.append(Path(one).read_text()) or link(one, other))
+    with FolderLock(lock):
+        assert [Process.of(json.loads(text)) for text in seen] == [Process.me()]
+        assert sorted(path.name for path in lock.parent.iterdir()) == ["lock"]
+
+
+def test_lock_on_a_file_system_without_links(lock, monkeypatch):
+    def refuse(one, other):
+        raise OSError(errno.EPERM, "no links here")
+
+    monkeypatch.setattr(os, "link", refuse)
+    with FolderLock(lock):
+        assert Process.of(json.loads(lock.read_text())) == Process.me()
+        with pytest.raises(RunError, match="held by"), FolderLock(lock, 0.1):
+            pass
+    assert not list(lock.parent.iterdir())
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
+@pytest.mark.parametrize("name", ["lock", "lock.breaking"])
+@pytest.mark.parametrize("kind", ["pipe", "dangling link", "link to a pipe"])
+def test_what_is_no_file_is_no_lock(lock, name, kind):
+    place = lock.with_name(name)
+    if kind == "pipe":
+        os.mkfifo(place)
+    else:
+        target = lock.with_name("elsewhere")
+        if kind == "link to a pipe":
+            os.mkfifo(target)
+        place.symlink_to(target)
+    if name != "lock":
+        lock.write_text(json.dumps(dead().as_dict()))
+    with FolderLock(lock, patience=5):
+        assert Process.of(json.loads(lock.read_text())) == Process.me()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
+def test_pipes_and_dangling_links_among_a_runs_files_hold_nobody_up(tmp_path):
+    work = tmp_path / ".postfx"
+    work.mkdir()
+    for name in ("a.claim", "b.checkpoint", "lock"):
+        os.mkfifo(work / name)
+        (work / f"x{name}").symlink_to("nowhere")
+    folder = RunFolder(tmp_path, "run", ["a.exr"])
+    assert folder.checkpoints("a.#.exr", "0") == {}
+    folder.release()
 
 
 def test_process_that_died_while_taking_over(lock):

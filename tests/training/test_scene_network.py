@@ -101,6 +101,22 @@ def test_history_is_of_no_use_where_there_is_none(views: Views) -> None:
     assert (brighter >= alone - 1e-6).all() and (brighter > alone).float().mean() > 0.9
 
 
+@pytest.mark.parametrize("kind", ["shading", "amplifier"])
+def test_light_is_bounded_by_what_was_learnt_and_lamps_have_the_colour_given(kind: str, views: Views) -> None:
+    """However sure a network is that a pixel is white."""
+    network = SceneNetwork(kind, *views.box(), views.most)
+    with torch.no_grad():
+        network.last.bias.fill_(50.0)
+    frame = views.crops(torch.tensor([[0, 0, 0, 0]]), (views.height, views.width), 1)[-1]
+    frame["diffuse_albedo"][..., :8], frame["specular_albedo"][..., :8] = 0, 0
+    frame["colour"][..., :8], frame["colour"][..., 0] = 0.75 * views.most, 10 * views.most
+    with torch.no_grad():
+        found, _ = network(frame, frame["ray"])
+    assert float(found.max()) == pytest.approx(views.most) and views.most < 100
+    if kind == "amplifier":
+        torch.testing.assert_close(found[..., 1:8], frame["colour"][..., 1:8])
+
+
 def test_a_network_is_trained_and_runs_in_a_command_buffer(rendered: Path, tmp_path: Path) -> None:
     """`amplifier` goes on from its own weights, and is measured against the stack."""
     pytest.importorskip("matplotlib")

@@ -1,10 +1,12 @@
 """Checkpoints of the denoised upscaler: their content, weights from them or from exported networks, and mixtures.
 
+    python -m training.denoise.checkpoint pack run/checkpoint.pt -o training/checkpoints/l.1x.pt
     python -m training.denoise.checkpoint mix a/checkpoint.pt:0.6 b/checkpoint.pt:0.4 -o mixed.pt
     python -m training.denoise.checkpoint mix a/checkpoint.pt:0.85 denoise_upscale.m.1x.onnx:0.15 -o mixed.pt
 
 A checkpoint of a run holds everything that training needs to continue. One for export or --start holds only `config`,
-`weights` and `notes`. `mix` averages the weights of networks: on scenes of other renderers the
+`weights` and `notes`. `pack` writes one for the repository, from which a training goes on (--continue).
+`mix` averages the weights of networks: on scenes of other renderers the
 mean of two trainings is often better than either.
 """
 
@@ -37,13 +39,13 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def load_weights(path: Path, trust: bool = False) -> dict[str, Tensor]:
-    """Averaged weights of a checkpoint, or the weights of an exported network.
+    """Averaged weights of a checkpoint, or the weights of an exported network, in float32.
 
     ``trust``: they are for a network that predicts its trust in the planes. An exported one that does not do so begins
     to trust them nearly everywhere.
     """
     if path.suffix != ".onnx":
-        return read(path)["weights"]
+        return {name: values.float() for name, values in read(path)["weights"].items()}
     card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
     weights = weights_of(path)
     return begin_trust(weights) if trust and not card["config"].get("trust") else weights
@@ -143,6 +145,22 @@ def git_commit() -> str:
         return "unknown"
 
 
+def pack(checkpoint: dict[str, Any]) -> dict[str, Any]:
+    """A checkpoint small enough for the repository, from which `unpack` lets a training go on: weights and their
+    average in half precision. Adam's moments are left out, as a few hundred steps bring them back."""
+    halves = {key: {name: values.half() for name, values in checkpoint[key].items()} for key in ("live", "weights")}
+    kept = ("config", "notes", "step", "seconds", "seed", "commit", "arguments")
+    return {key: checkpoint[key] for key in kept} | halves
+
+
+def unpack(path: Path) -> dict[str, Any]:
+    """A checkpoint of `pack`, its weights in float32. Raises ValueError for one that holds an average alone."""
+    found = read(path)
+    if "live" not in found:
+        raise ValueError(f"{path}: no state to continue from: take the file that 'checkpoint pack' wrote")
+    return found | {key: {name: values.float() for name, values in found[key].items()} for key in ("live", "weights")}
+
+
 # Mixtures -----------------------------------------------------------------------------------------------------------
 
 def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None) -> dict[str, Any]:
@@ -177,11 +195,16 @@ def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None) -> dict[
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
+    packing = commands.add_parser("pack", help="make a run's checkpoint small enough for the repository")
+    packing.add_argument("checkpoint", type=Path)
+    packing.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
+    packing.set_defaults(make=lambda args: pack(read(args.checkpoint)))
     mixing = commands.add_parser("mix", help="average the weights of networks; smaller ones are widened to the first")
     mixing.add_argument("parts", nargs="+", type=part, metavar="FILE:SHARE",
                         help="checkpoints or exported networks; shares add up to 1")
     mixing.add_argument("--levels", type=int, metavar="N", help="keep the N finest levels (default: all)")
     mixing.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
+    mixing.set_defaults(make=lambda args: mix(args.parts, args.levels))
     return parser
 
 
@@ -189,7 +212,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = options()
     args = parser.parse_args(argv)
     try:
-        save(mix(args.parts, args.levels), args.output)
+        save(args.make(args), args.output)
     except (OSError, ValueError) as fault:
         parser.error(str(fault))
 

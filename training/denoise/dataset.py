@@ -7,6 +7,8 @@ on the device as float16, so that a batch costs no transfer; depth is stored as 
 import json
 import math
 import random
+import threading
+import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
@@ -103,16 +105,18 @@ def grey_exposure(colour: np.ndarray) -> float:
     return float(0.18 / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean() + 1e-9))))
 
 
-def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[str, ...] = ()) -> Clip:
+def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[str, ...] = (),
+         blank_volumes: bool = True) -> Clip:
     """Read one clip file and move it to ``device``, with its guides and further kinds of motion, if asked for.
 
+    ``blank_volumes``: renders of a volume have no depth and albedo, as for networks that do not read such planes.
     Raises ValueError if it lacks the guides.
     """
     data = np.load(path)
     if guides and "guide_depth" not in data.files:
         raise ValueError(f"{path}: no planes at output size, which --guides needs")
     variants = sorted({k.split("_", 1)[0] for k in data.files if k.startswith("v") and k[1].isdigit()})
-    hazy = {v: shows_volume(data[f"{v}_depth"][0, ..., None].astype(np.float32)) for v in variants}
+    hazy = {v: blank_volumes and shows_volume(data[f"{v}_depth"][0, ..., None].astype(np.float32)) for v in variants}
 
     def plane(key: str) -> Tensor:
         values = torch.from_numpy(data[key]).to(device)
@@ -192,8 +196,9 @@ class ClipPool:
     """All clips of some folders, each with the weight of its clips; grows while the data factory is still writing."""
 
     def __init__(self, folders: Mapping[Path, float], device: torch.device, guides: bool = False, share: int = 0,
-                 shares: int = 1, held_out: int = 20, pairs: tuple[str, ...] = ()):
+                 shares: int = 1, held_out: int = 20, pairs: tuple[str, ...] = (), blank_volumes: bool = True):
         self.folders, self.device, self.guides, self.pairs = folders, device, guides, pairs
+        self.blank_volumes = blank_volumes
         self.share, self.shares, self.held_out = share, shares, held_out
         self.seen: set[Path] = set()
         self.training: dict[tuple[int, ...], list[Clip]] = {}
@@ -210,18 +215,36 @@ class ClipPool:
         with ThreadPoolExecutor(8) as threads:
             clips = list(threads.map(self._load, mine))
         for path, clip in zip(mine, clips, strict=True):
-            if clip is None:
-                continue
-            if (self._number(path) // self.shares) % self.held_out == 0:
-                self.validation.append(clip)
-            else:
-                weighted = replace(clip, weight=self.folders[path.parent])
-                self.training.setdefault(tuple(clip.reference.shape), []).append(weighted)
+            if clip is not None:
+                self._add(path, clip)
         return len(self)
+
+    def watch(self, pause: float = 2.0) -> None:
+        """Load new files in a thread of its own from now on, while others draw from the pool."""
+        def follow() -> None:
+            while True:
+                found = [p for folder in self.folders for p in sorted(folder.glob("[!.]*.npz"))]
+                for path in found:
+                    if path not in self.seen and self._number(path) % self.shares == self.share:
+                        self.seen.add(path)
+                        clip = self._load(path)
+                        if clip is not None:
+                            self._add(path, clip)
+                time.sleep(pause)
+
+        threading.Thread(target=follow, daemon=True).start()
+
+    def _add(self, path: Path, clip: Clip) -> None:
+        """Add a clip, to those of validation or of training."""
+        if (self._number(path) // self.shares) % self.held_out == 0:
+            self.validation.append(clip)
+        else:
+            weighted = replace(clip, weight=self.folders[path.parent])
+            self.training.setdefault(tuple(clip.reference.shape), []).append(weighted)
 
     def _load(self, path: Path) -> Clip | None:
         try:
-            return load(path, self.device, self.guides, self.pairs)
+            return load(path, self.device, self.guides, self.pairs, self.blank_volumes)
         except ValueError as fault:
             print(f"left out: {fault}", flush=True)
             return None
@@ -241,9 +264,10 @@ class ClipPool:
         other renders the other way than the turn before, and continues its history.
         """
         shapes = sorted(self.training)
-        weights = [[clip.weight for clip in self.training[shape]] for shape in shapes]
+        there = [list(self.training[shape]) for shape in shapes]  # `watch` may add to them meanwhile
+        weights = [[clip.weight for clip in clips] for clips in there]
         drawn = random.Random(seed).choices(range(len(shapes)), [sum(w) for w in weights])[0]
-        clips = random.choices(self.training[shapes[drawn]], weights[drawn], k=size)
+        clips = random.choices(there[drawn], weights[drawn], k=size)
         order = [random.sample(range(len(c.planes)), len(c.planes)) for c in clips]
         variants = [renders[turn % len(renders)] for renders in order]
         thinned = [random.random() < sparse for _ in clips]

@@ -33,12 +33,13 @@ from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE
 from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, LEVEL, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
+from postfx.kernels.partner import ENLARGE_MOTION, MIX_PARTNER
 from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
 from postfx.passes.denoise.network import FEATURE_PARTS, PHASED_FINE
 from training.denoise.model import Trunk, TrunkConfig, stem
 from training.export import export, export_kernel, parity, parser, read_quality, write_card, write_model
 from training.kernels import denoise as kernels
-from training.kernels import extras, parts
+from training.kernels import extras, partner, parts
 
 CHECKED = (48, 80)  # size at which the export is compared with torch: not the size that is traced
 SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, for 1x",
@@ -60,7 +61,8 @@ SIZES = {"h": 25, "w": 45, "th": 21, "tw": 33, "hp": 32, "wp": 48, "height": 35,
          "finer_h": 63, "finer_w": 97, "coarse_h": 17, "coarse_w": 25,
          "heads": FINE, "channels": 3, "tiles": 2, "tile_h": 11, "tile_w": 13, "rows": 17, "columns": 19,
          "keep_h": 15, "keep_w": 27, "parts": 3, "cells_h": 3, "cells_w": 5, "means_h": 6, "means_w": 8, "wide": 8,
-         "reached_h": 9, "reached_w": 10, "near_h": 4, "near_w": 7, "planes": 9}
+         "reached_h": 9, "reached_w": 10, "near_h": 4, "near_w": 7, "planes": 9,
+         "motion_h": 35, "motion_w": 70, "weight_h": 35, "weight_w": 70, "strength_h": 35, "strength_w": 70}
 KERNELS = {
     SCALE: kernels.Scale,
     DILATE: kernels.Dilate,
@@ -103,6 +105,8 @@ KERNELS = {
     ENLARGE: extras.Enlarge,
     OVER: extras.Over,
     OVER_ALPHA: extras.OverAlpha,
+    MIX_PARTNER: partner.MixPartner,
+    ENLARGE_MOTION: partner.EnlargeMotion,
     PACK: kernels.Pack,
     OPEN: kernels.Open,
     OPEN_FINE: kernels.OpenFine,

@@ -35,11 +35,12 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from training.denoise.checkpoint import git_commit, load_weights, read, save, widen
+from training.denoise.checkpoint import git_commit, load_weights, read, save, unpack, widen
 from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to_batch
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
 from training.denoise.loss import LIGHT, ClipLoss
-from training.denoise.model import DenoiseUpscale, State, TrunkConfig, empty_state
+from training.denoise.model import DenoiseUpscale, State, Trunk, TrunkConfig, empty_state
+from training.denoise.residual import ResidualConfig, ResidualTrunk
 from training.measure.runs import append_run
 
 # Settings -----------------------------------------------------------------------------------------------------------
@@ -49,7 +50,7 @@ WARM_STEPS = 500  # over which the learning rate rises: where it rises faster, u
 DECAY = 0.9995  # of the average of the weights
 LARGEST_NORM = 1.0  # of a gradient
 PLAYING = 8  # playbacks between which --carry draws
-PLACES = ("clips", "out", "start", "resume", "log")  # arguments that name files; a checkpoint does not keep them
+PLACES = ("clips", "out", "start", "resume", "onward", "log")  # arguments that name files: no checkpoint keeps them
 
 
 def options() -> argparse.ArgumentParser:
@@ -62,6 +63,17 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--batch", type=int, default=16, help="clips a GPU and step (default: %(default)s)")
     parser.add_argument("--crop", type=int, default=96, help="side of the windows in render pixels, multiple of 16")
     parser.add_argument("--rate", type=float, default=8e-4, help="highest learning rate (default: %(default)s)")
+    parser.add_argument("--cool", type=float, metavar="SHARE",
+                        help="keep the learning rate until this last share of the training, then lower it linearly to "
+                             "zero (default: a cosine all along); stable.pt is the checkpoint before, to go on from")
+    parser.add_argument("--residual", action="store_true", help="a trunk of residual blocks from the render size on "
+                        "(residual.py), of which --widths, --down and --up tell the layout")
+    parser.add_argument("--down", type=int, nargs="+", default=list(ResidualConfig.down), metavar="N",
+                        help="with --residual: blocks of each level on the way down")
+    parser.add_argument("--up", type=int, nargs="+", default=list(ResidualConfig.up), metavar="N",
+                        help="with --residual: blocks of each level on the way up")
+    parser.add_argument("--volumes", action="store_true",
+                        help="leave depth and albedo of volumes as rendered (default: as if files lacked them)")
     parser.add_argument("--widths", type=int, nargs="+", default=[96, 160, 224, 320], help="channels of the levels")
     parser.add_argument("--depth", type=int, default=TrunkConfig.depth, help="convolutions a level and direction")
     parser.add_argument("--stem", type=int, help="channels of the stem (default: those of the first level)")
@@ -93,6 +105,9 @@ def options() -> argparse.ArgumentParser:
     begin.add_argument("--start", type=Path,
                        help="weights: checkpoint.pt or denoise_upscale.<tag>.onnx, also of a network with fewer "
                             "channels or levels")
+    begin.add_argument("--continue", type=Path, dest="onward", metavar="FILE",
+                       help="go on from a checkpoint of 'training.denoise.checkpoint pack': its weights, their average "
+                            "and the count of steps, with the arguments of this call")
     begin.add_argument("--resume", type=Path, help="checkpoint.pt of a run to continue, with its arguments")
     parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
     parser.add_argument("--seed", type=int, default=0)
@@ -123,9 +138,19 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
 
 # Parts of a step ----------------------------------------------------------------------------------------------------
 
-def rate_at(progress: float, step: int, peak: float) -> float:
-    """Learning rate at a share of the training and a step: a linear rise, then a cosine to zero."""
-    return peak * min((step + 1) / WARM_STEPS, 1) * max(0.5 * (1 + math.cos(math.pi * progress)), 1e-3)
+def rate_at(progress: float, step: int, peak: float, cool: float | None = None) -> float:
+    """Learning rate at a share of the training and a step of this run: a linear rise, then a cosine to zero, or the
+    peak until the last share ``cool`` of the training."""
+    fall = 0.5 * (1 + math.cos(math.pi * progress)) if cool is None else min((1 - progress) / max(cool, 1e-9), 1)
+    return peak * min((step + 1) / WARM_STEPS, 1) * max(fall, 1e-3)
+
+
+def trunk_of(args: argparse.Namespace) -> Trunk | ResidualTrunk:
+    """The network of the arguments, with random weights."""
+    if args.residual:
+        layout = ResidualConfig(tuple(args.widths), tuple(args.down), tuple(args.up), args.trust)
+        return ResidualTrunk(layout)
+    return Trunk(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach, args.trust))
 
 
 def runs_both_ways(step: int, share: float) -> bool:
@@ -224,7 +249,8 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
     """
     # Clips: each process trains on a share of the folder, and one clip in twenty is held out.
     kinds = (("inverse",) if args.both_ways or args.carry else ()) + (("static",) if args.false_motion else ())
-    pool = ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=kinds)
+    pool = ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=kinds,
+                    blank_volumes=not args.volumes)
     if pool.refresh() < args.wait:
         print(f"waiting for {args.wait} clips to train on (--wait): {folder_names(args)} has {len(pool)}", flush=True)
     while pool.refresh() < args.wait:
@@ -232,8 +258,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
     augment = Augment(clean=args.clean, false_motion=args.false_motion)
 
     # The network, the average of its weights, and its loss.
-    model = model or DenoiseUpscale(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach,
-                                                args.trust))
+    model = model or DenoiseUpscale(trunk=trunk_of(args))
     model = model.to(device, memory_format=torch.channels_last)
     if args.start:
         model.load_state_dict(widen(load_weights(args.start, args.trust), model.state_dict()))
@@ -247,6 +272,12 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
 
     # Start at the first step, or at the step of a checkpoint.
     step, start = 0, time.monotonic()
+    if args.onward:
+        saved = unpack(args.onward)
+        model.load_state_dict(saved["live"])
+        average.weights = {k: v.to(device) for k, v in saved["weights"].items()}
+        step = saved["step"]
+    begun = step
     if args.resume:
         saved = read(args.resume)
         model.load_state_dict(saved["live"])
@@ -285,11 +316,23 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
         print("validation", json.dumps(notes), flush=True)
         return notes
 
+    def save_stable() -> None:
+        """The checkpoint of the highest learning rate, from which a longer training goes on."""
+        keep()
+        os.replace(args.out / "checkpoint.pt", args.out / "stable.pt")
+
     # The loop.
+    cooling = False
+    if world == 1:
+        pool.watch()
     kept, recent = time.monotonic(), []
     playing = [Playback(step) for _ in range(PLAYING)]
     while (done := progress()) < 1 and step != pause:
-        rate = rate_at(done, step, args.rate)
+        if args.cool and not cooling and done >= 1 - args.cool:
+            cooling = True
+            if rank == 0:
+                save_stable()
+        rate = rate_at(done, step - begun, args.rate, args.cool)
         for group in optimiser.param_groups:
             group["lr"] = rate
         play = pick(playing, step, args)
@@ -310,11 +353,13 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
             recent.clear()
             if rank == 0:
                 seconds = time.monotonic() - start
-                print(f"step {step} {seconds:.0f} s rate {rate:.2e} loss {values[0]:.4f} psnr {values[1]:.2f} "
-                      f"flicker {values[2]:.4f} norm {values[3]:.3f} non-finite {int(flat.nonfinite)}", flush=True)
+                print(f"step {step} {seconds:.0f} s clips {len(pool)} rate {rate:.2e} loss {values[0]:.4f} "
+                      f"psnr {values[1]:.2f} flicker {values[2]:.4f} norm {values[3]:.3f} "
+                      f"non-finite {int(flat.nonfinite)}", flush=True)
                 add_row(args.out / "log.csv", step, round(seconds, 1), rate, *values)
         if time.monotonic() - kept > 60 * KEEP_MINUTES:
-            pool.refresh()
+            if world > 1:
+                pool.refresh()
             playing = [Playback(step) for _ in range(PLAYING)]  # windows are drawn from other clips now
             if rank == 0:
                 keep()

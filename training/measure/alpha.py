@@ -107,7 +107,7 @@ def cost(model: str) -> None:
         covered = np.clip(0.5 - (np.hypot(0.9 * (columns - 480), rows - 270) - radius) / 12, 0, 1)
         alpha = (random.random((540, 960, SAMPLES)) < covered[..., None]).mean(-1, keepdims=True)
         frames[f"a rim {2 * radius} high"] = Frame({**planes, Role.ALPHA: alpha.astype(np.float32)})
-    runs = {name: Pipeline([DenoiseUpscale(model=model)], device, exposure=0.0) for name in frames}
+    runs = {name: Pipeline([DenoiseUpscale(scale=2, model=model)], device, exposure=0.0) for name in frames}
     times: dict[str, list[float]] = {name: [] for name in frames}
     for _ in range(10):
         for name, frame in frames.items():

@@ -110,7 +110,7 @@ def cost(model: str, threads: int) -> None:
     planes = {Role.COLOUR: colour, Role.DIFFUSE_ALBEDO: colour, Role.NORMAL: colour,
               Role.DEPTH: 1 + colour[..., :1].copy(), Role.MOTION: 0.5 * colour[..., :2].copy()}
     frames = {count: Frame(planes, parts={f"light {i}": colour / count for i in range(count)}) for count in COUNTS}
-    pipelines = {count: Pipeline([DenoiseUpscale(model=model, parts=list(frame.parts))], device, exposure=0.0)
+    pipelines = {count: Pipeline([DenoiseUpscale(scale=2, model=model, parts=list(frame.parts))], device, exposure=0.0)
                  for count, frame in frames.items()}
     times: dict[str, dict[int, list[float]]] = {name: {count: [] for count in COUNTS} for name in ("time", "processor")}
     for _ in range(FRAMES):

@@ -10,6 +10,7 @@ import os
 import struct
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -412,6 +413,32 @@ ZIP_LINES = 16
 """Rows of a chunk of ZIP."""
 _KINDS = (oiio.UINT, oiio.HALF, oiio.FLOAT)
 _PIECE = 4 << 20  # bytes that are read and packed at once
+
+
+def _join_threads() -> None:
+    """End the threads of OpenImageIO and OpenEXR before the process is forked: the copy has none of them, would wait
+    for them for ever, and starts its own if they are known to be gone. OpenEXR hears of their number when OpenImageIO
+    opens a file."""
+    _threads.append([oiio.get_int_attribute(name) for name in _POOLS])
+    oiio.attribute("threads", 1)
+    oiio.attribute("exr_threads", _NO_THREADS)
+    with suppress(OSError), memory_file(".exr") as path:
+        output = oiio.ImageOutput.create("openexr")
+        if output and output.open(str(path), oiio.ImageSpec(1, 1, 1, "half")):
+            output.write_image(np.zeros((1, 1, 1), np.float32))
+            output.close()
+
+
+def _allow_threads() -> None:
+    for name, count in zip(_POOLS, _threads.pop(), strict=True):
+        oiio.attribute(name, count)
+
+
+_POOLS = ("threads", "exr_threads")
+_NO_THREADS = -1  # of OpenEXR; 0 would be one for each core
+_threads: list[list[int]] = []
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_join_threads, after_in_parent=_allow_threads, after_in_child=_allow_threads)
 
 
 def rows_of_task(threads: int) -> int:

@@ -1,9 +1,12 @@
 """What an output keeps of its input beside the picture, bit for bit: channels, parts and attributes.
 
-The picture is always R, G, B (and A) of a part with the attribute `postfx:picture`. Where it has the input's size and
-windows, and the input's colour is R, G, B of one part, it takes their place, and the part's other channels are written
-again, without loss, as ZIP-compressed scanlines. Else it is the first part, and all parts of the input follow, the
-render's colour among them. Parts that need not be written again, deep ones included, are copied as they are stored.
+Where the picture has the input's size and windows, and the input's colour is in one part, it takes the place of the
+render's colour under the same names, such as ViewLayer.Combined.R, so that programs that show the render show the
+picture. So do light groups and passes that were denoised with it. The other channels of their parts are written again,
+without loss, as ZIP-compressed scanlines, in a part of their own if the picture has another compression. Else the
+picture is R, G, B (and A) of the first part, and all parts of the input follow, the render's colour among them. Parts
+that need not be written again, deep ones included, are copied as they are stored. The attribute `postfx:picture` names
+the picture's channels.
 
 Beside a larger picture all channels have its size: each pixel has the bits of the nearest one, and only distances in
 pixels grow. The render's colour, which the picture replaces, and deep parts are left out there.
@@ -16,7 +19,7 @@ samples per pixel, a cut) in the part that it shares with other channels.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -162,6 +165,10 @@ _STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrd
               "chunkCount", "maxSamplesPerPixel", "dwaCompressionLevel")
 _INVENTED = "capDate"  # OpenImageIO writes today's if there is none
 _NAME, _RENDER_NAME = "rgba", "render"
+_ALPHAS = {"R": "A", "r": "a", "red": "alpha", "Red": "Alpha", "RED": "ALPHA"}
+_LETTERS = ("R", "G", "B")
+_NOISY, _SHOWN = "Noisy Image", "Combined"
+"""Layers of Cycles: the colour before Blender's own denoiser, and the one after it, which compositors show."""
 
 
 def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> list[NewPart]:
@@ -191,26 +198,44 @@ class Merge:
 
     def parts(self) -> list[NewPart]:
         """All parts of the output."""
-        index, headers = self._stored.part, self._source.headers
+        headers = self._source.headers
         if self._enlargement:
             return _with_names(self._enlarge_parts(self._enlargement))
-        in_place = self._is_in_place()
-        header = self.header(headers[index], in_place)
-        if in_place:
-            parts = [self._merge_part(part, header) if part == index else self.as_stored(part, header)
-                     for part in range(len(headers))]
-        else:
-            parts = [picture_part(header, self._rows, apart=True),
-                     *(self.as_stored(part, header) for part in range(len(headers)))]
+        index, colour = self._shown()
+        if not (self._takes(index) and len({*colour}) == len(_LETTERS)):
+            header = self.header(headers[self._stored.part], in_place=False)
+            return _with_names([picture_part(header, self._rows, apart=True),
+                                *(self.as_stored(part, header) for part in range(len(headers)))])
+        names = dict(zip(_LETTERS, colour, strict=True)) | {"A": alpha_of(colour)}
+        held = [channel.name for channel in self._own.channels]
+        header = self.header(headers[index], in_place=True, names=[names.get(name, name) for name in held])
+        fresh: dict[int, dict[str, str]] = {}
+        for name in held:
+            fresh.setdefault(index if name in names else self._home(name, index), {})[names.get(name, name)] = name
+        parts: list[NewPart] = []
+        for part in range(len(headers)):
+            own = header if part == index else self.header_of(part, header)
+            parts += self._merge_part(part, own, fresh[part]) if part in fresh else [self.as_stored(part, header)]
         return _with_names(parts)
 
-    def _is_in_place(self) -> bool:
-        """Whether the picture takes the place of the render's colour."""
-        render = self._source.headers[self._stored.part]
+    def _shown(self) -> tuple[int, tuple[str, ...]]:
+        """Part and names of the colour that programs show: the render's, or what Blender's own denoiser made of it."""
+        names = tuple(name.replace(_NOISY, _SHOWN) for name in self._stored.channels)
+        found = next((part for part, name in sorted(self._stored.renders) if name == names[0]), self._stored.part)
+        return found, names if (found, names[0]) in self._stored.renders else self._stored.channels
+
+    def _home(self, name: str, picture: int) -> int:
+        """The part that a channel beside the picture's goes into: the one that holds it in the source, if it can."""
+        parts = (picture, *range(len(self._source.headers)))
+        holds = (part for part in parts if name in {one.name for one in self._source.headers[part].channels})
+        return next(filter(self._takes, holds), picture)
+
+    def _takes(self, part: int) -> bool:
+        """Whether channels of the picture's size can take the place of those of a part."""
+        render = self._source.headers[part]
         same = (render.data, render.display) == (self._own.data, self._own.display)
         plain = all(channel.x_sampling == channel.y_sampling == 1 for channel in render.channels)
-        flat = render.part_type in (SCANLINES, TILES)
-        return same and plain and flat and self._stored.channels == ("R", "G", "B")
+        return same and plain and render.part_type in (SCANLINES, TILES)
 
     def as_stored(self, part: int, picture: Header) -> NewPart:
         """A part of the source with its pixels as they are."""
@@ -234,7 +259,7 @@ class Merge:
         file = self._stack.enter_context(ImageFile(self._source.path, checked=True))
         index, fresh = self._stored.part, {channel.name for channel in self._own.channels}
         picture, parts = self.header(self._source.headers[index], in_place=False), []
-        joined = NewPart(picture, 0, ())
+        joined, sorted_names = NewPart(picture, 0, ()), [channel.name for channel in self._own.channels]
         display = next(part.display for part in file.parts if part.index == index)
         for part in file.parts:
             replaced = self._stored.renders | ({(index, name) for name in fresh} if part.index == index else set())
@@ -252,24 +277,40 @@ class Merge:
                 picture = self.header(self._source.headers[index], in_place=True)
                 self.check_zip(picture)
                 picture.set("channels", "chlist", pack_channels(self._own.channels + kept))
-                joined = picture_part(picture, _join(picture, self._own, self._rows, names, rows))
+                joined = picture_part(picture, _join(picture, sorted_names, self._rows, names, rows))
             else:
                 parts.append(picture_part(resize_header(self.header_of(part.index, picture), larger, kept), rows))
         return [joined if joined.count else picture_part(picture, self._rows, apart=True), *parts]
 
-    def _merge_part(self, part: int, header: Header) -> NewPart:
-        """The part that held the render's colour, with the picture in its place."""
-        fresh = [channel.name for channel in self._own.channels]
+    def _merge_part(self, part: int, header: Header, fresh: Mapping[str, str]) -> list[NewPart]:
+        """A part of the source with channels of the picture in the place of its own, and one for the others if the
+        picture's compression is not for them. fresh: their names -> those that the writer gave them."""
+        own = {channel.name: channel for channel in self._own.channels}
+        channels = [own[given]._replace(name=name) for name, given in fresh.items()]
         rest = [channel for channel in self._source.headers[part].channels if channel.name not in fresh]
+        beside = resize_header(Header(dict(header.attributes)), header.data, rest)
+        for name in ("compression", "dwaCompressionLevel"):
+            header.attributes.pop(name, None)
+            header.attributes |= {name: self._own.attributes[name]} if name in self._own.attributes else {}
+        compression, apart = header.attributes["compression"], bool(rest) and header.compression != ZIP
+        resize_header(header, header.data, channels + ([] if apart else rest))
+        header.attributes["compression"] = compression
         if not rest:
-            return picture_part(header, self._rows, apart=True)
-        header.set("channels", "chlist", pack_channels(self._own.channels + rest))
-        self.check_zip(header)
+            return [picture_part(header, _select(self._own, self._rows, header, fresh), apart=True)]
         source = self._stack.enter_context(ImageFile(self._source.path, checked=True))
         (render,) = (one for one in source.parts if one.index == part)
         old = [channel.name for channel in rest]
-        return picture_part(header, _join(header, self._own, self._rows, old,
-                                      lambda first, last: source.read_stored(render, old, first, last)))
+
+        def others(first: int, last: int) -> list[np.ndarray]:
+            return source.read_stored(render, old, first, last)
+
+        if apart:
+            beside.set_text("name", f"{header.name or _RENDER_NAME}.other")
+            beside.attributes.pop(PICTURE, None)
+            alone = picture_part(header, _select(self._own, self._rows, header, fresh), apart=True)
+            return [alone, picture_part(beside, others)]
+        rows = _select(self._own, self._rows, None, fresh)
+        return [picture_part(header, _join(header, list(fresh), rows, old, others))]
 
     def check_zip(self, header: Header) -> None:
         """WriteError unless a part that holds the picture and other channels is compressed by ZIP."""
@@ -278,8 +319,9 @@ class Merge:
             raise WriteError(f"{self._source.path}: has channels that stay in the picture's part bit for bit, with ZIP "
                              f"only: leave --compression {name} out, or give --keep none")
 
-    def header(self, render: Header, in_place: bool) -> Header:
-        """Header of the picture's part: the writer's attributes, and the render's that are still true."""
+    def header(self, render: Header, in_place: bool, names: Iterable[str] = ()) -> Header:
+        """Header of the picture's part: the writer's attributes, and the render's that are still true. names: of the
+        picture's channels, if not as the writer has them."""
         own = self._own.attributes
         found = {name: own[name] for name in _STRUCTURE if name in own}
         for name, attribute in render.attributes.items():
@@ -293,7 +335,7 @@ class Merge:
         if in_place and "name" in render.attributes:
             found["name"] = render.attributes["name"]
         header = Header(found)
-        header.set_text(PICTURE, ",".join(channel.name for channel in self._own.channels))
+        header.set_text(PICTURE, ",".join(names or (channel.name for channel in self._own.channels)))
         return header
 
     def _is_new(self, name: str) -> bool:
@@ -303,9 +345,28 @@ class Merge:
         return is_outdated(name, self._frame) or not same
 
 
-def _join(header: Header, own: Header, rows: Rows, names: list[str], others: Rows) -> Rows:
-    """Reads the picture's channels and others beside them, in the order of the header of both."""
-    fresh, order = [channel.name for channel in own.channels], [channel.name for channel in header.channels]
+def alpha_of(colour: tuple[str, ...]) -> str:
+    """What alpha beside a colour is called: 'beauty.red' has 'beauty.alpha'."""
+    layer, _, red = colour[0].rpartition(".")
+    return ".".join(filter(None, (layer, _ALPHAS.get(red, "A"))))
+
+
+def _select(own: Header, rows: Rows, header: Header | None, names: Mapping[str, str]) -> Rows:
+    """Reads some of the picture's channels, in the order of a header, or else of `names`: there -> as it has them."""
+    given = [channel.name for channel in own.channels]
+    order = [given.index(names[name]) for name in ([one.name for one in header.channels] if header else names)]
+
+    def read_some(first: int, last: int) -> list[np.ndarray]:
+        found = rows(first, last)
+        return [found[index] for index in order]
+
+    return read_some
+
+
+def _join(header: Header, fresh: list[str], rows: Rows, names: list[str], others: Rows) -> Rows:
+    """Reads the picture's channels, which come as `fresh`, and others beside them, in the order of the header of both.
+    """
+    order = [channel.name for channel in header.channels]
 
     def read_joined(first: int, last: int) -> list[np.ndarray]:
         found = dict(zip(fresh, rows(first, last), strict=True))

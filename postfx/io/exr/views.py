@@ -17,11 +17,10 @@ from postfx.errors import WriteError
 from postfx.frame import ColourSource, Frame
 from postfx.io.exr import ChannelInfo, Header, pack_channels
 from postfx.io.exr.container import ExrContainer, NewPart, Rows, picture_part
-from postfx.io.exr.passthrough import Enlargement, Merge, enlarge_rows, enlargement_of, resize_header
+from postfx.io.exr.passthrough import Enlargement, Merge, alpha_of, enlarge_rows, enlargement_of, resize_header
 from postfx.io.image_file import ImageFile
 from postfx.io.windows import PICTURE, Part, Window
 
-_ALPHAS = {"R": "A", "r": "a", "red": "alpha", "Red": "Alpha", "RED": "ALPHA"}
 _LETTERS = ("R", "G", "B")
 
 
@@ -102,8 +101,7 @@ class _ViewMerge:
     def _names(self, number: int, is_layered: bool) -> dict[str, str]:
         """The picture's channels -> what they are called in the file."""
         colour, own = self._colours[number], [channel.name for channel in self._views[number].own.channels]
-        layer, _, red = colour.channels[0].rpartition(".")
-        alpha = ".".join(filter(None, (layer, _ALPHAS.get(red, "A"))))
+        layer, alpha = colour.channels[0].rpartition(".")[0], alpha_of(colour.channels)
         view = layer.rpartition(".")[2] if is_layered else ""
         found = {name: name for name in own}
         if view:  # OpenEXR has views before the last word of a name

@@ -1,8 +1,9 @@
-"""Neural denoised upscaler: noisy planes at render size in, clean colour at output size out, steady over time."""
+"""Neural denoised upscaler: noisy planes in, clean colour at the same size or a larger one out, steady over time."""
 
 from __future__ import annotations
 
 import os
+import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,9 +39,13 @@ from postfx.passes.denoise.options import Size, output_size, parse_reactive, val
 from postfx.passes.denoise.parts import checked_parts
 from postfx.passes.denoise.planes import ABSENT, passthrough_roles
 from postfx.passes.denoise.tiling import Sizes, active_cells
-from postfx.runtime import CommandBuffer, Device, Library, Tensor
+from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
 PLANES = tuple(ABSENT)
+NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stands in for the network, and more noise "
+               "stays: install it, or accept that by the model classic")
+SHARPENING = Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.DEPTH
+"""Planes without which results are 0.2 dB worse or more; the others are worth less than a line."""
 PART_FILTERS = "picture", "own"
 """Values of the option `part_filters`: whose filters parts get."""
 NETWORK = "network "
@@ -50,12 +55,12 @@ WIDER = "wider primaries"
 
 
 class DenoiseUpscale(Pass):
-    """Denoises and enlarges, reusing earlier frames along their motion.
+    """Denoises, and enlarges where asked, reusing earlier frames along their motion.
 
     It needs only colour, and reads the other planes that a frame has.
 
     Options:
-        scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 2 without guides.
+        scale: output size over render size, 1 to 3. None: the size of the frame's guides, or 1 without guides.
         size: width and height of the output, in place of a scale; frames may change their size, and the history goes
             on.
         model: tag of the network, 's', 'm' or 'l', which runs in the device's fast precision, or with one: 'm.fp32',
@@ -83,7 +88,7 @@ class DenoiseUpscale(Pass):
     and converted back. On a GPU negative light counts as 0.
 
     A transparency overlay is only resampled; the pass `overlay` composites. The plane `later` is handed on
-    to the pass `both_ways`.
+    to the pass `both_ways`, and the plane `partner`, resampled, to the pass `mix_partner`.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. At render
     size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone.
@@ -118,9 +123,17 @@ class DenoiseUpscale(Pass):
         self._used: str | None = None
         self._cameras = Cameras()
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
-        self._tag = validate_tag(str(model), own)
+        asked = validate_tag(str(model), own)
+        self._tag = CLASSIC if self._falls_back(asked) else asked
+        self._is_fallback = self._tag != asked
+        if self._is_fallback:
+            warnings.warn(NO_NETWORKS, RuntimeWarning, stacklevel=2)
         if self._tag == CLASSIC and self._parts:
             raise PassOptionError("model 'classic' filters no parts: give a network, or no parts")
+
+    def _falls_back(self, tag: str) -> bool:
+        """Whether the classical filter stands in for a network, because nothing runs networks here."""
+        return not has_networks() and "/" not in tag and CLASSIC in family(tag) and not self._parts
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         carried = passthrough_roles(spec)
@@ -133,19 +146,21 @@ class DenoiseUpscale(Pass):
         demanded = self._mask.demands() if self.strength else ()
         kept = [role for role in carried if role not in spec.guide_roles]
         guides = (*(guides if self.strength else ()), *(role for role in carried if role in spec.guide_roles))
-        return Reflection(reads=(Role.COLOUR, *demanded), may_read=(*planes, *kept), writes=(Role.COLOUR, *carried),
+        optional = tuple(dict.fromkeys((*planes, *kept)))
+        return Reflection(reads=(Role.COLOUR, *demanded), may_read=optional, writes=(Role.COLOUR, *carried),
                           output=output, may_read_guides=guides, notes=self._notes(spec), parts=self._read_parts(spec))
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
             return ("strength 0: the input is only resampled",)
         seen = {*spec.roles, *spec.guide_roles}
-        lost = [str(role) for role in GUIDE_ROLES if role not in seen]
+        lost = [str(role).replace("_", " ") for role in SHARPENING if role not in seen]
         can_be_estimated = any(map(spec.has, (Role.DIFFUSE_ALBEDO, Role.NORMAL)))
         remedy = "--motion auto estimates it" if can_be_estimated else "render it, or albedo to estimate it from"
         alone = f"no motion plane, so every frame is denoised alone and may flicker: {remedy}"
-        found = [] if spec.has(Role.MOTION) else [alone]
-        found += [f"blurs more without the planes {', '.join(lost)}"] if lost else []
+        found = [NO_NETWORKS] if self._is_fallback else []
+        found += [] if spec.has(Role.MOTION) else [alone]
+        found += [f"no {' and no '.join(lost)}: results are blurrier"] if lost else []
         found += unscaled_remarks(self._tag) if self._is_render_size(spec) else []
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
@@ -263,7 +278,8 @@ class DenoiseUpscale(Pass):
         frame.set(Role.COLOUR, colour)
         ready.passthrough.encode(commands, frame)
         for role in (*PLANES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
-            frame.tensors.pop(role, None)
+            if not self._output.has(role):
+                frame.tensors.pop(role, None)
         frame.guides.clear()
         frame.spec, frame.jitter = self._output, (0.0, 0.0)
 

@@ -11,7 +11,7 @@ from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import FrameSpec, GuideSpec, Role
 from postfx.passes.denoise.models import Ladder
 
-LEAST, MOST, USUAL = 1.0, 3.0, 2.0
+LEAST, MOST, USUAL = 1.0, 3.0, 1.0
 ASPECT = 0.01
 """Share of a side by which frames may be off the output's aspect, if that is more than a pixel: sizes are often
 multiples of 8."""

@@ -18,6 +18,7 @@ from postfx.kernels.denoise.history import REACTIVE
 from postfx.kernels.denoise.output import DETAIL, JUDGE, RESTORE, STRENGTH, SUMS, TILE
 from postfx.kernels.denoise.prepare import DILATE
 from postfx.kernels.image import ENLARGE, RESAMPLE, positions
+from postfx.kernels.partner import ENLARGE_MOTION
 from postfx.kernels.statistics import bounds_of_cells, coverage_noise
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.history import LayerHistory
@@ -157,9 +158,32 @@ CENTRED = (0.0, 0.0)
 
 
 def passthrough_roles(spec: FrameSpec) -> tuple[Role, ...]:
-    """Alpha, overlay and later frames' colour, as far as a frame has them; an overlay may have output size."""
+    """Alpha, overlay and the colours of later frames and of a partner, as far as a frame has them; an overlay may have
+    output size. With a partner's colour go motion and strength, which its mixture needs."""
     kept = tuple(role for role in (Role.ALPHA, Role.OVERLAY) if spec.has(role) or role in spec.guide_roles)
+    if spec.has(Role.PARTNER):
+        kept += tuple(role for role in (Role.PARTNER, Role.MOTION, Role.STRENGTH) if spec.has(role))
     return (*kept, Role.LATER) if Role.LATER in spec.guide_roles else kept
+
+
+class LargerMotion:
+    """Brings motion to the output's size and pixels, each from the nearest render pixel."""
+
+    def __init__(self, device: Device, render: Size, output: Size) -> None:
+        rows, columns = (positions(*sizes) for sizes in zip(render, output, strict=True))
+        ratio = np.array([output.width / render.width, output.height / render.height], np.float32)
+        arrays = {"rows": rows, "columns": columns, "ratio": ratio}
+        self._table = ArgumentTable(device.compute_state(ENLARGE_MOTION), {
+            name: device.wrap(f"{name} of motion", array) for name, array in arrays.items()})
+        self._table["enlarged"] = device.heap.transient("motion of the output", (*output, 2))
+
+    def encode(self, commands: CommandBuffer, motion: Tensor) -> Tensor:
+        """Record the work; returns the motion."""
+        self._table["motion"] = motion
+        with commands.compute_encoder("motion") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            encoder.dispatch(self._table.state, self._table)
+        return self._table["enlarged"]
 
 
 class Passthrough:
@@ -172,12 +196,16 @@ class Passthrough:
         self._device, self._output, self._render = device, output, Size(spec.height, spec.width)
         self._overlay_is_guide = Role.OVERLAY in spec.guide_roles
         self._resamplers = {role: Resampler(device, str(role), role, self._size(role), output)
-                            for role in passthrough_roles(spec) if role is not Role.LATER}
+                            for role in passthrough_roles(spec) if role not in (Role.LATER, Role.MOTION)}
+        moves = Role.MOTION in passthrough_roles(spec)
+        self._motion = LargerMotion(device, self._render, output) if moves else None
         self._nothing: Tensor | None = None
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         """Record the work; the frame's planes are then those of the output's size. Alpha that was already replaced is
         left alone."""
+        if self._motion:
+            frame.set(Role.MOTION, self._motion.encode(commands, frame[Role.MOTION]))
         if Role.LATER in frame.guides:
             frame.set(Role.LATER, frame.guides[Role.LATER])
         if self._overlay_is_guide:

@@ -16,12 +16,27 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from . import mitsuba_scene
 from . import scene as parts
 from .scene import Rng
 
 KINDS = {  # how often each is drawn for training
-    "fog": 0.14, "indirect": 0.12, "foliage": 0.11, "fur": 0.07, "glass": 0.08, "dof": 0.09, "motion_blur": 0.11,
-    "interior": 0.07, "outdoor": 0.1, "product": 0.08, "text": 0.03,
+    "fog": 0.09,
+    "indirect": 0.08,
+    "foliage": 0.08,
+    "fur": 0.08,
+    "glass": 0.09,
+    "dof": 0.06,
+    "motion_blur": 0.06,
+    "interior": 0.11,
+    "outdoor": 0.06,
+    "product": 0.06,
+    "text": 0.04,
+    "water": 0.06,
+    "snow": 0.03,
+    "lamps": 0.04,
+    "fire": 0.04,
+    "cloth": 0.02,
 }
 
 
@@ -34,7 +49,9 @@ class Library:
     def __init__(self, root: Path | None):
         self.root = root
         found = sorted(root.glob("*/about.json")) if root else []
-        self.about = {path.parent.name: json.loads(path.read_text()) for path in found}
+        self.about = {path.parent.name: json.loads(path.read_text()) for path in found
+                      if path.with_name("scene.gltf").exists()}
+        self.rooms = [path.parent for path in found if path.with_name("scene.xml").exists()]
         self.panoramas = sorted((root / "environments").glob("*.hdr")) if root else []
         self.pages = sorted((root / "pages").glob("*.png")) if root else []
 
@@ -408,6 +425,8 @@ def indirect(library: Library, frames: int, rng: Rng) -> Shot:
 
 def interior(library: Library, frames: int, rng: Rng) -> Shot:
     """A whole interior of the library, from a place inside it, or a room."""
+    if library.rooms and rng.random() < 0.5:
+        return furnished(library, frames, rng)
     names = library.names("interior")
     if not names or rng.random() < 0.5:
         return room(library, frames, rng)
@@ -424,6 +443,30 @@ def interior(library: Library, frames: int, rng: Rng) -> Shot:
     target = middle + span * (*rng.uniform(-0.3, 0.3, 2), rng.uniform(-0.2, 0.1))
     parts.camera_at(eye, target, rng.uniform(50, 85))
     return Shot(target, float(span.max()) / 8, {"setting": name})
+
+
+def furnished(library: Library, frames: int, rng: Rng) -> Shot:
+    """A room that others furnished, near one of its cameras."""
+    folder = library.rooms[rng.integers(len(library.rooms))]
+    objects, cameras = mitsuba_scene.load(folder)
+    eye, target, fov = cameras[rng.integers(len(cameras))]
+    span = float(np.linalg.norm(target - eye))
+    eye = eye + rng.normal(0, 0.05 * span, 3)
+    target = target + rng.normal(0, 0.15 * span, 3) * (1, 1, 0.5)
+    if rng.random() < 0.6:
+        daylight(library, rng)
+    else:
+        parts.plain_world((1, 1, 1), 2 ** rng.uniform(-6, 0))
+    if rng.random() < 0.4:  # a lamp on the way
+        at = eye + (target - eye) * rng.uniform(0.2, 0.9) + (0, 0, 0.1 * span)
+        parts.lamp("POINT", Matrix.Translation(Vector(at)), 2 ** rng.uniform(0, 5) * span**2, 0.02 * span,
+                   tuple(rng.uniform(0.6, 1, 3)))
+    if rng.random() < 0.5:
+        made = parts.material(rng)
+        ball = parts.solid(rng, eye + (target - eye) * rng.uniform(0.4, 0.8) - (0, 0, 0.1 * span), 0.1 * span, made)
+        parts.move_thing(ball, 0.2 * span, frames, rng)
+    parts.camera_at(eye, target, float(np.clip(fov * rng.uniform(0.6, 1.1), 25, 85)))
+    return Shot(target, span / 4, {"setting": folder.name, "objects": len(objects)})
 
 
 def glass(library: Library, frames: int, rng: Rng) -> Shot:
@@ -472,7 +515,105 @@ def text(library: Library, frames: int, rng: Rng) -> Shot:
     return shot
 
 
+def water(library: Library, frames: int, rng: Rng) -> Shot:
+    """A pool, a lake or a puddle whose waves move, over a textured ground, with things in it and around."""
+    deep = rng.uniform(0.15, 1.5)
+    ground = parts.material(rng, "rough")
+    parts.quad((0, 0, -deep), (30, 0, 0), (0, 30, 0), ground)
+    surface = parts.waves(rng, 24.0, frames)
+    surface.data.materials.append(parts.water_material(rng))
+    things = [parts.solid(rng, (*rng.uniform(-2.5, 2.5, 2), rng.uniform(-0.8, 0.1)), rng.uniform(0.3, 1.4),
+                          parts.material(rng)) for _ in range(int(rng.integers(2, 7)))]
+    things += props(library, rng, int(rng.integers(0, 3)), 2.0, 2.0, (0.5, 2))
+    move_some(things, frames, rng, 0.6)
+    night(rng, 5.0) if rng.random() < 0.12 else daylight(library, rng)
+    angle = rng.uniform(0, 6.3)
+    eye = np.array([math.cos(angle), math.sin(angle), 0]) * rng.uniform(2.5, 7) + (0, 0, rng.uniform(0.5, 3))
+    target = np.array([*rng.normal(0, 0.7, 2), rng.uniform(-0.3, 0.4)])
+    parts.camera_at(eye, target, rng.uniform(30, 65))
+    return Shot(target, 2.0, {"setting": "water"})
+
+
+def snow(library: Library, frames: int, rng: Rng) -> Shot:
+    """Flakes, drops or sparks that fall through a setting, many of them smaller than a pixel."""
+    shot = [outdoor, foliage, room, studio][rng.choice(4, p=[0.45, 0.25, 0.15, 0.15])](library, frames, rng)
+    eye = np.array(bpy.context.scene.camera.matrix_world.translation)
+    reach = float(np.linalg.norm(shot.target - eye))
+    for _ in range(int(rng.integers(1, 4))):
+        made = parts.glow(tuple(rng.uniform(0.3, 1, 3)), 2 ** rng.uniform(1, 6)) if rng.random() < 0.25 else (
+            parts.material(rng, "rough"))
+        count, size = int(rng.integers(200, 6000)), reach * 2 ** rng.uniform(-10, -7)
+        centres = eye + (shot.target - eye) * rng.uniform(0.1, 1.6, (count, 1)) + rng.normal(0, 0.4 * reach, (count, 3))
+        flakes = parts.flakes(rng, centres, size, made)
+        fall = np.array([rng.normal(0, 0.1), rng.normal(0, 0.1), -rng.uniform(0.02, 0.6)]) * reach
+        parts.keyframe(flakes, Matrix(), Matrix.Translation(Vector(fall)), frames)
+    return shot
+
+
+def lamps(library: Library, frames: int, rng: Rng) -> Shot:
+    """A street or a hall by night, lit by many small lamps and windows."""
+    parts.quad((0, 0, 0), (80, 0, 0), (0, 80, 0), parts.material(rng, str(rng.choice(["rough", "coat", "plastic"]))))
+    street, length = rng.uniform(3, 9), 40.0
+    for side in (-1, 1):
+        y = -length / 2
+        while y < length / 2:
+            w, d, h = rng.uniform(3, 9), rng.uniform(3, 8), rng.uniform(3, 16)
+            low = np.array([side * street, y, 0.0])
+            parts.box(np.minimum(low, low + (side * d, 0, 0)), np.maximum(low + (0, w, h), low + (side * d, w, h)),
+                      parts.material(rng, "rough"))
+            lit = parts.glow(tuple(np.array([1, rng.uniform(0.5, 1), rng.uniform(0.2, 1)])), 2 ** rng.uniform(0, 4.5))
+            for z in np.arange(1.2, h - 1, rng.uniform(1.4, 3)):
+                for x in np.arange(0.6, w - 0.8, rng.uniform(1.0, 2.4)):
+                    if rng.random() < 0.45:
+                        parts.quad((side * (street - 0.02), y + x + 0.3, z), (0, 0.35, 0), (0, 0, 0.5), lit)
+            y += w + rng.uniform(0, 2)
+    for _ in range(int(rng.integers(1, 4))):  # strings of bulbs
+        bulb = parts.glow(tuple(rng.uniform(0.2, 1, 3) ** 2 + 0.02), 2 ** rng.uniform(4, 9))
+        line = np.linspace(0, 1, int(rng.integers(30, 160)))[:, None]
+        a, b = rng.uniform((-street, -15, 2.5), (street, 15, 6), (2, 3))
+        centres = a + (b - a) * line - np.array([0, 0, 1]) * 3 * line * (1 - line)
+        parts.flakes(rng, centres, rng.uniform(0.02, 0.08), bulb)
+    things = props(library, rng, int(rng.integers(1, 5)), street * 0.7, 6, (0.8, 3))
+    move_some(things, frames, rng, 0.8)
+    parts.starry_world(rng) if rng.random() < 0.5 else parts.plain_world((0.1, 0.15, 0.3), rng.uniform(0.005, 0.1))
+    eye = np.array([rng.uniform(-0.5, 0.5) * street, -rng.uniform(6, 16), rng.uniform(1, 5)])
+    target = np.array([rng.uniform(-0.6, 0.6) * street, rng.uniform(0, 8), rng.uniform(0.5, 3)])
+    parts.camera_at(eye, target, rng.uniform(30, 70))
+    return Shot(target, 3.0, {"setting": "street"})
+
+
+def fire(library: Library, frames: int, rng: Rng) -> Shot:
+    """Smoke and flames in a setting; both drift."""
+    shot = [studio, outdoor, room][rng.choice(3, p=[0.4, 0.35, 0.25])](library, frames, rng)
+    for _ in range(int(rng.integers(1, 3))):
+        half = shot.size * rng.uniform(0.4, 1.1) * np.array([1, 1, rng.uniform(1, 1.8)])
+        at = shot.target + (*rng.normal(0, 0.4 * shot.size, 2), 0.5 * half[2])
+        heat = 2 ** rng.uniform(1, 6) if rng.random() < 0.65 else 0.0
+        made = parts.smoke_material(rng, half, 2 ** rng.uniform(0.5, 4.5) / shot.size, heat, frames)
+        parts.box(at - half, at + half, made)
+        if heat:
+            parts.lamp("POINT", Matrix.Translation(Vector(at)), 20 * heat * shot.size**2 * rng.uniform(0.1, 1),
+                       0.3 * shot.size, (1, 0.55, 0.2))
+    return shot
+
+
+def cloth(library: Library, frames: int, rng: Rng) -> Shot:
+    """Curtains and flags that let light through, before a window or the sun."""
+    shot = [studio, outdoor, room][rng.choice(3, p=[0.3, 0.4, 0.3])](library, frames, rng)
+    for _ in range(int(rng.integers(1, 4))):
+        at = shot.target + rng.normal(0, 0.4 * shot.size, 3) + (0, 0, 0.4 * shot.size)
+        sheet = parts.sheet(rng, shot.size * rng.uniform(0.5, 1.6), parts.thin_material(rng))
+        sheet.matrix_world = (Matrix.Translation(Vector(at)) @ Matrix.Rotation(rng.uniform(0, 6.3), 4, "Z"))
+        if rng.random() < 0.7:
+            parts.move_thing(sheet, 0.3 * shot.size, frames, rng)
+    if rng.random() < 0.6:
+        parts.lamp("SUN", Matrix.Rotation(rng.uniform(0.6, 1.4), 4, Vector((*rng.normal(size=2), 0))),
+                   rng.uniform(1, 8), 0.02)
+    return shot
+
+
 SETTINGS = {
     "fog": fog, "indirect": indirect, "foliage": foliage, "fur": fur, "glass": glass, "dof": out_of_focus,
     "motion_blur": fast_things, "interior": interior, "outdoor": outdoor, "product": studio, "text": text,
+    "water": water, "snow": snow, "lamps": lamps, "fire": fire, "cloth": cloth,
 }

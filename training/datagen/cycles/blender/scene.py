@@ -351,7 +351,136 @@ def volume_material(rng: Rng, density: float, wisps: float = 0.0) -> bpy.types.M
     return made
 
 
+def smoke_material(rng: Rng, half: np.ndarray, density: float, heat: float, frames: int) -> bpy.types.Material:
+    """Smoke that rises and changes in a box of sides 2 ``half``; it glows by ``heat`` where it is thick."""
+    made = bpy.data.materials.new("smoke")
+    made.use_nodes = True
+    tree = made.node_tree
+    tree.nodes.clear()
+    shade, out = tree.nodes.new("ShaderNodeVolumePrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
+    dark = rng.uniform(0.02, 0.95)
+    shade.inputs["Color"].default_value = (dark, dark, dark, 1)
+    shade.inputs["Anisotropy"].default_value = rng.uniform(-0.1, 0.6)
+    metres, at = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeMapping")
+    at.inputs["Scale"].default_value = tuple(1 / half)  # the box reaches from -1 to 1
+    tree.links.new(metres.outputs["Object"], at.inputs[0])
+    place, noise = tree.nodes.new("ShaderNodeMapping"), tree.nodes.new("ShaderNodeTexNoise")
+    noise.noise_dimensions = "4D"
+    noise.inputs["Scale"].default_value = rng.uniform(1.5, 5)
+    noise.inputs["Detail"].default_value = rng.uniform(1, 6)
+    rise = rng.uniform(0.02, 0.4)
+    for frame, share in ((0, 0.0), (frames, 1.0)):
+        place.inputs["Location"].default_value[2] = -rise * share
+        place.inputs["Location"].keyframe_insert("default_value", frame=frame)
+        noise.inputs["W"].default_value = 0.3 * rise * share
+        noise.inputs["W"].keyframe_insert("default_value", frame=frame)
+    make_linear(tree)
+    tree.links.new(at.outputs[0], place.inputs[0])
+    tree.links.new(place.outputs[0], noise.inputs["Vector"])
+    # Thick in the middle, nothing at the walls of its box.
+    distance, inner = tree.nodes.new("ShaderNodeVectorMath"), tree.nodes.new("ShaderNodeMapRange")
+    distance.operation = "LENGTH"
+    tree.links.new(at.outputs[0], distance.inputs[0])
+    inner.inputs["From Min"].default_value, inner.inputs["From Max"].default_value = 1.0, 0.2
+    tree.links.new(distance.outputs["Value"], inner.inputs[0])
+    both, spread = tree.nodes.new("ShaderNodeMath"), tree.nodes.new("ShaderNodeMapRange")
+    both.operation = "MULTIPLY"
+    tree.links.new(noise.outputs[0], both.inputs[0])
+    tree.links.new(inner.outputs[0], both.inputs[1])
+    spread.inputs["From Min"].default_value, spread.inputs["From Max"].default_value = rng.uniform(0.15, 0.4), 0.7
+    spread.inputs["To Max"].default_value = density
+    tree.links.new(both.outputs[0], spread.inputs[0])
+    tree.links.new(spread.outputs[0], shade.inputs["Density"])
+    if heat:
+        hot = tree.nodes.new("ShaderNodeMapRange")
+        hot.inputs["From Min"].default_value, hot.inputs["From Max"].default_value = rng.uniform(0.35, 0.5), 0.7
+        hot.inputs["To Max"].default_value = heat
+        tree.links.new(both.outputs[0], hot.inputs[0])
+        tree.links.new(hot.outputs[0], shade.inputs["Emission Strength"])
+        shade.inputs["Emission Color"].default_value = (1, rng.uniform(0.2, 0.5), rng.uniform(0.01, 0.1), 1)
+    tree.links.new(shade.outputs[0], out.inputs["Volume"])
+    return made
+
+
+def water_material(rng: Rng) -> bpy.types.Material:
+    """Clear or coloured water, now and then as an opaque sea."""
+    made, shader = principled("water")
+    shader.inputs["Roughness"].default_value = float(rng.choice([0.0, rng.uniform(0.01, 0.15)]))
+    shader.inputs["IOR"].default_value = 1.33
+    if rng.random() < 0.25:
+        shader.inputs["Base Color"].default_value = (*(rng.uniform(0.005, 0.1, 3)), 1)
+        return made
+    shader.inputs["Transmission Weight"].default_value = 1.0
+    shader.inputs["Base Color"].default_value = (*(1 - rng.uniform(0, 0.35) * rng.random(3)), 1)
+    return made
+
+
+def thin_material(rng: Rng) -> bpy.types.Material:
+    """Cloth that scatters light to both sides; it may have a weave or stripes."""
+    made, shader = principled("cloth")
+    base = np.array(colour_of(rng))
+    shader.inputs["Base Color"].default_value = (*base, 1)
+    shader.inputs["Roughness"].default_value = rng.uniform(0.6, 1)
+    if rng.random() < 0.6:
+        paint(made.node_tree, shader, tuple(base), rng)
+    tree = made.node_tree
+    through, mix = tree.nodes.new("ShaderNodeBsdfTranslucent"), tree.nodes.new("ShaderNodeMixShader")
+    through.inputs["Color"].default_value = (*np.clip(base * rng.uniform(0.6, 1.1), 0, 1), 1)
+    mix.inputs[0].default_value = rng.uniform(0.2, 0.7)
+    out = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
+    tree.links.new(shader.outputs[0], mix.inputs[1])
+    tree.links.new(through.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], out.inputs["Surface"])
+    return made
+
+
 # Shapes
+
+
+def grid(count: int, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices ((count + 1)^2, 3) of a flat square of ``side`` metres, and its faces (count^2, 4)."""
+    line = np.linspace(-side / 2, side / 2, count + 1)
+    x, y = np.meshgrid(line, line)
+    i = (np.arange(count)[:, None] * (count + 1) + np.arange(count)).ravel()
+    return (np.stack((x, y, np.zeros_like(x)), -1).reshape(-1, 3),
+            np.stack((i, i + 1, i + count + 2, i + count + 1), -1))
+
+
+def waves(rng: Rng, side: float, frames: int) -> bpy.types.Object:
+    """A water surface of running sines, one shape key a frame, so that vectors show how it moves."""
+    points, faces = grid(280, side)
+    item = mesh("water", points, faces, None, smooth=True)
+    item.shape_key_add(name="flat")
+    height, speed = rng.uniform(0.01, 0.12), rng.uniform(0.1, 1.2)
+    sines = [(2 ** rng.uniform(-1, 3.3), rng.uniform(0, 6.3), rng.uniform(0, 6.3)) for _ in range(12)]
+    for frame in range(-1, frames + 2):
+        z = sum(height / k**1.1 * np.sin(k * (points[:, 0] * math.cos(a) + points[:, 1] * math.sin(a))
+                                         + p + speed * math.sqrt(k) * frame / 3) for k, a, p in sines)
+        key = item.shape_key_add(name=f"frame {frame}")
+        key.data.foreach_set("co", (points + np.stack((0 * z, 0 * z, z), -1)).ravel())
+        for at, value in ((frame - 1, 0.0), (frame, 1.0), (frame + 1, 0.0)):
+            key.value = value
+            key.keyframe_insert("value", frame=at)
+    make_linear(item.data.shape_keys)
+    return item
+
+
+def flakes(rng: Rng, centres: np.ndarray, size: float, made: bpy.types.Material) -> bpy.types.Object:
+    """Small tetrahedra in one mesh."""
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * 0.6
+    scale = size * rng.uniform(0.5, 1.5, (len(centres), 1, 1))
+    points = (centres[:, None] + corners * scale).reshape(-1, 3)
+    sides = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    faces = (4 * np.arange(len(centres))[:, None, None] + sides).reshape(-1, 3)
+    return mesh("flakes", points, faces, made)
+
+
+def sheet(rng: Rng, side: float, made: bpy.types.Material) -> bpy.types.Object:
+    """A hanging cloth with folds."""
+    points, faces = grid(90, side)
+    depth = sum(rng.normal(0, 0.02 * side) * np.sin(points[:, 0] * k / side + points[:, 1] * q / side + p)
+                for k, q, p in ((rng.uniform(4, 50), rng.normal(0, 4), rng.uniform(0, 6.3)) for _ in range(5)))
+    return mesh("sheet", np.stack((points[:, 0], depth, points[:, 1]), -1), faces, made, smooth=True)
 
 
 def mesh(name: str, vertices: np.ndarray, faces: np.ndarray, made: bpy.types.Material | None,

@@ -23,6 +23,9 @@ from . import kinds
 from .kinds import Library
 
 THREADS = 2  # a process: many run side by side
+DARKEST_SHARE = 0.02  # of the mean light: darker pixels do not make a picture brighter
+LEAST_HALF = 16  # samples a pixel of each half of a reference, at least
+HALF_ERROR = 0.02  # of each half, as Cycles' adaptive sampling counts it, at a mean brightness of 0.2
 PATTERNS = ("AUTOMATIC", "TABULATED_SOBOL", "BLUE_NOISE")
 
 
@@ -52,7 +55,7 @@ def set_up(scene: bpy.types.Scene, device: str, rng: np.random.Generator) -> dic
     cycles.volume_bounces = int(rng.choice([0, 1, 2, 4], p=[0.4, 0.2, 0.2, 0.2]))
     cycles.pixel_filter_type = str(rng.choice(["BLACKMAN_HARRIS", "BOX", "GAUSSIAN"], p=[0.8, 0.1, 0.1]))
     cycles.filter_width = 1.5
-    render.use_persistent_data = True
+    render.use_persistent_data = device == "GPU"  # on a CPU, Blender 5.0.1 crashes with it now and then
     render.threads_mode, render.threads = "FIXED", THREADS
     render.film_transparent = bool(rng.random() < 0.1)
     render.image_settings.media_type = "MULTI_LAYER_IMAGE"
@@ -65,8 +68,11 @@ def set_up(scene: bpy.types.Scene, device: str, rng: np.random.Generator) -> dic
     return {"filter": cycles.pixel_filter_type, "clamp": cycles.sample_clamp_indirect}
 
 
-def shoot(scene: bpy.types.Scene, path: Path, frame: int, size: tuple[int, int], spp: int, seed: int) -> None:
-    """Render one frame into an EXR file."""
+def shoot(scene: bpy.types.Scene, path: Path, frame: int, size: tuple[int, int], spp: int, seed: int,
+          error: float = 0.0) -> None:
+    """Render one frame into an EXR file. With an ``error``, pixels whose noise is below it get fewer samples."""
+    scene.cycles.use_adaptive_sampling = error > 0
+    scene.cycles.adaptive_threshold, scene.cycles.adaptive_min_samples = error, LEAST_HALF
     scene.render.resolution_x, scene.render.resolution_y = size
     scene.render.resolution_percentage = 100
     scene.cycles.samples, scene.cycles.seed = spp, seed
@@ -82,7 +88,7 @@ def probe(scene: bpy.types.Scene, folder: Path, frame: int) -> tuple[float, floa
     shoot(scene, path, frame, (32, 32), 32, 7)
     scene.render.use_motion_blur = blur
     light = read_pass(path, "Combined", 3) @ np.array([0.2126, 0.7152, 0.0722])
-    level = float(np.exp(np.log(light + 1e-4 * light.mean() + 1e-9).mean()))
+    level = float(np.exp(np.log(light + DARKEST_SHARE * light.mean() + 1e-9).mean()))
     normal, albedo = read_pass(path, "Normal", 3), read_pass(path, "Denoising Albedo", 3)
     change = [np.abs(np.diff(plane, axis=axis)).max(-1)[:31, :31] for plane in (normal, albedo) for axis in (0, 1)]
     return level, float((light < 1e-6).mean()), float((np.max(change, 0) > 0.15).mean())
@@ -106,13 +112,14 @@ def make(request: dict, library: Library) -> dict:
     scene.cycles.film_exposure = 0.2 * 2 ** rng.normal(0, 0.5) / level
     output = (round(w * request["scale"]), round(h * request["scale"]))
     layer, blur = scene.view_layers[0], shot.facts["blur"]
+    error = HALF_ERROR * (level / 0.2) ** 0.5  # Cycles divides noise by the square root of light
     seeds = iter(rng.integers(1, 1 << 30, 64 * frames).tolist())
     for frame in range(frames):
         layer.use_pass_vector = not blur
         for k, spp in enumerate(request["spp"]):
             shoot(scene, noisy_file(folder, k, frame), frame, (w, h), spp, next(seeds))
-        shoot(scene, half_file(folder, 0, frame), frame, output, request["half_spp"], next(seeds))
-        shoot(scene, half_file(folder, 1, frame), frame, output, request["half_spp"], next(seeds))
+        for half in range(2):
+            shoot(scene, half_file(folder, half, frame), frame, output, request["half_spp"], next(seeds), error)
         if blur:
             scene.render.use_motion_blur, layer.use_pass_vector = False, True
             shoot(scene, vectors_file(folder, frame), frame, (w, h), 1, next(seeds))

@@ -1,0 +1,114 @@
+"""Open Image Denoise as a pass: it denoises each frame alone, at the render's size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Never
+
+import numpy as np
+
+from postfx import oidn
+from postfx.errors import PassOptionError
+from postfx.frame import FrameSpec, Role
+from postfx.oidn import QUALITIES, OpenImageDenoise, total_albedo
+from postfx.passes import Pass, Reflection, ResidentFrame
+from postfx.runtime import ArgumentTable, CommandBuffer, Device
+
+ALBEDOS = (Role.DENOISING_ALBEDO, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+
+
+class Oidn(Pass):
+    """Denoises with Open Image Denoise, at the render's size and each frame alone; needs the package pyoidn.
+
+    The albedo and the normal are filtered alone first and then help with the picture. The albedo is the plane
+    `denoising_albedo`, or without it diffuse and specular albedo, added up.
+    Without an albedo the colour is denoised alone. What is not finite counts as 0, as does light below 0.
+
+    Options:
+        quality: 'high', 'balanced' or 'fast'.
+        alpha: whether alpha is denoised, too, in frames where it is neither 0 nor 1 somewhere.
+
+    Parts of the picture stay as they are. Raises PassOptionError for another quality, DeviceError without the package.
+    """
+
+    name: ClassVar[str] = "oidn"
+
+    def __init__(self, *, quality: str = "high", alpha: bool = True, **unknown: Never) -> None:
+        super().__init__(quality=quality, alpha=alpha, **unknown)
+        if quality not in QUALITIES:
+            raise PassOptionError(f"pass 'oidn' has no quality '{quality}': give {', '.join(QUALITIES)}")
+        oidn.require()
+        self._quality, self._alpha = quality, bool(alpha)
+
+    def reflect(self, spec: FrameSpec) -> Reflection:
+        written = (Role.COLOUR, Role.ALPHA) if self._denoises_alpha(spec) else (Role.COLOUR,)
+        albedos = self._albedos(spec) or ALBEDOS
+        return Reflection(reads=(Role.COLOUR,), may_read=(*albedos, Role.NORMAL, *written[1:]), writes=written,
+                          output=spec)
+
+    def skip(self, spec: FrameSpec) -> str | None:
+        if spec.encoding != "scene-linear":
+            return f"colour is {spec.encoding}, and Open Image Denoise gets scene-linear light"
+        return None
+
+    def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
+        found = [] if self._albedos(spec) else ["no albedo plane, so Open Image Denoise blurs more"]
+        found += [f"parts stay noisy: {', '.join(spec.part_names)}"] if spec.part_names else []
+        return tuple(found)
+
+    def packages(self) -> Mapping[str, str]:
+        return {oidn.PACKAGE: oidn.version()}
+
+    def compile(self, device: Device, spec: FrameSpec) -> None:
+        kind = "cuda" if device.name.startswith("cuda") and oidn.finds_cuda() else "cpu"
+        self._denoise = OpenImageDenoise(self._quality, kind, device.threads)
+        self._roles = tuple(role for role in (Role.COLOUR, *self._albedos(spec), Role.NORMAL) if spec.has(role))
+        names = tuple(map(str, self._roles))
+        size = spec.height, spec.width
+        self._colour = ArgumentTable(device.host_state("oidn", names, ("output",), self._denoise_colour),
+                                     {"output": device.heap.transient("colour by oidn", (*size, 3))})
+        self._coverage: ArgumentTable | None = None
+        if self._denoises_alpha(spec):
+            state = device.host_state("oidn alpha", ("alpha",), ("output",), self._denoise_alpha_plane)
+            self._coverage = ArgumentTable(state, {"output": device.heap.transient("alpha by oidn", (*size, 1))})
+        super().compile(device, spec)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        super().encode(commands, frame)
+        for role in self._roles:
+            self._colour[str(role)] = frame[role]
+        with commands.compute_encoder("filters") as encoder:
+            encoder.barrier(after=("compute", "machine-learning"), before="compute")
+            encoder.dispatch(self._colour.state, self._colour)
+            if self._coverage:
+                encoder.barrier()
+                self._coverage["alpha"] = frame[Role.ALPHA]
+                encoder.dispatch(self._coverage.state, self._coverage)
+        frame.set(Role.COLOUR, self._colour["output"])
+        if self._coverage:
+            frame.set(Role.ALPHA, self._coverage["output"])
+
+    def _denoise_colour(self, colour: np.ndarray, *others: np.ndarray) -> None:
+        *planes, output = others
+        known = dict(zip(self._roles[1:], planes, strict=True))
+        albedos = [known[role] for role in ALBEDOS if role in known]
+        aids = {"albedo": total_albedo(*albedos)} if albedos else {}
+        if Role.NORMAL in known:
+            aids["normal"] = known[Role.NORMAL]
+        self._denoise(colour, aids, output)
+
+    def _denoise_alpha_plane(self, alpha: np.ndarray, output: np.ndarray) -> None:
+        if not ((alpha > 0) & (alpha < 1)).any():
+            output[...] = alpha
+            return
+        grey = np.empty((*alpha.shape[:2], 3), np.float32)
+        self._denoise(np.clip(alpha, 0, 1).repeat(3, axis=2), {}, grey, hdr=False)
+        output[...] = np.clip(grey[..., :1], 0, 1)
+
+    def _denoises_alpha(self, spec: FrameSpec) -> bool:
+        return self._alpha and spec.has(Role.ALPHA)
+
+    def _albedos(self, spec: FrameSpec) -> tuple[Role, ...]:
+        """The albedos that are added up: one of what is seen in mirrors and glass, too, is enough."""
+        found = tuple(role for role in ALBEDOS if spec.has(role))
+        return found[:1] if Role.DENOISING_ALBEDO in found else found

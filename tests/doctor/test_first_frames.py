@@ -1,0 +1,105 @@
+"""What a run says of its first frames: nothing of good ones, a line and the fix of bad ones."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import postfx
+from postfx.doctor.first_frames import MOST_SEEN, FirstFrames
+from postfx.frame import Frame, Role
+
+ROOM = Path(__file__).parents[2] / "samples/room/noisy.####.exr"
+
+
+@pytest.fixture(scope="module")
+def room() -> list[Frame]:
+    return list(postfx.read_sequence(ROOM, "1-4"))
+
+
+def said(frames: list[Frame], **options) -> list[str]:
+    looker = FirstFrames(**options)
+    return [line for frame in frames for line in looker.look(frame)]
+
+
+def with_motion(frames: list[Frame], change: Callable[[np.ndarray], np.ndarray]) -> list[Frame]:
+    return [replace(one, planes={**one.planes, Role.MOTION: change(one[Role.MOTION]).astype(np.float32)})
+            for one in frames]
+
+
+def test_nothing_is_said_of_good_frames(room):
+    assert said(room) == []
+
+
+def test_a_wrong_sign_and_a_wrong_unit_are_told_with_the_fix(room):
+    (line,) = said(with_motion(room, np.negative), channels={Role.MOTION: "vector.XY"})
+    assert line.startswith("plane motion (vector.XY), frame 3: ") and "fix: in a profile scale = [-1, -1]" in line
+    height, width = room[0][Role.COLOUR].shape[:2]
+    (line,) = said(with_motion(room, lambda motion: motion / np.float32((width, height))))
+    assert 'fix: in a profile unit = "uv"' in line and "\n" not in line
+
+
+def test_the_unit_of_a_large_picture_is_that_of_all_of_it(room, monkeypatch):
+    """Only a window of it is compared."""
+    monkeypatch.setattr("postfx.doctor.first_frames.WINDOW", (240, 140))
+    height, width = room[0][Role.COLOUR].shape[:2]
+    (line,) = said(with_motion(room, lambda motion: motion / np.float32((width, height))))
+    assert 'unit = "uv"' in line
+    assert said(room) == []
+
+
+def test_one_seed_is_told(room):
+    same = [replace(room[1], number=number) for number in (1, 2, 3)]
+    assert any("the same random seed in every frame" in line for line in said(same))
+
+
+def test_planes_that_the_renderer_could_write_are_told_and_cheap_ones_are_not(room):
+    bare = [replace(room[0], planes={role: plane for role, plane in room[0].planes.items()
+                                     if role not in (Role.NORMAL, Role.ROUGHNESS)})]
+    enable = {Role.NORMAL: "Data > Normal", Role.ROUGHNESS: "Shader AOV"}
+    (line,) = said(bare, enable=enable)
+    assert "plane normal: " in line and "fix: switch it on: Data > Normal" in line
+    assert said(bare) == []  # as nobody knows where
+
+
+def test_it_ends_by_itself(room):
+    looker = FirstFrames()
+    for number in range(MOST_SEEN + 1):
+        looker.look(replace(room[0], number=number, reset=True))
+    assert looker.is_done
+
+
+def test_a_pipeline_tells_the_log(room, caplog):
+    passes = postfx.Pipeline([postfx.DenoiseUpscale(model="s")], postfx.Device("cpu"))
+    buffers = {role: np.empty_like(plane) for role, plane in room[0].planes.items()}
+    with caplog.at_level(logging.WARNING, "postfx"):
+        for frame in with_motion(room, np.negative):
+            for role, plane in frame.planes.items():
+                buffers[role][...] = plane  # a renderer writes all frames into the same arrays
+            passes(replace(frame, planes=buffers))
+    (line,) = [record.message for record in caplog.records if "likely" in record.message]
+    assert "scale = [-1, -1]" in line
+    caplog.clear()
+    passes = postfx.Pipeline([postfx.DenoiseUpscale(model="s")], postfx.Device("cpu"), checks=False)
+    for frame in with_motion(room, np.negative):
+        passes(frame)
+    assert "likely" not in caplog.text
+
+
+def test_a_run_tells_of_planes_that_come_later(write_exr, tmp_path, capsys):
+    from postfx.cli.main import main
+
+    random = np.random.default_rng(3)
+    for number in (1, 2, 3):
+        planes = {name: random.random((24, 32), np.float32) for name in "RGB"}
+        planes |= {f"albedo.{name}": np.full((24, 32), 0.5) for name in "RGB"} if number > 1 else {}
+        write_exr(f"in/shot.{number:04d}.exr", planes)
+    run = ["run", str(tmp_path / "in"), "-o", str(tmp_path / "out/"), "--model", "s", "--device", "cpu"]
+    assert main(run) == 0
+    line = "warning  frame 1 has no diffuse_albedo, frame 2 does: no frame is denoised with it"
+    assert line in capsys.readouterr().err
+    assert main([*run, "--frames", "2-3", "--preroll", "0", "--overwrite"]) == 0
+    assert "no diffuse_albedo" not in capsys.readouterr().err

@@ -1,0 +1,145 @@
+"""Every figure of README, documents and model cards has a source: what a script printed, with commit and date.
+
+A document says where its figures come from, from a comment to the next one, the next heading or the end:
+
+    <!-- measured: NAME, NAME -->   figures are in docs/measured/runs/NAME.txt, by `python -m training.measure.record`
+    <!-- given -->                  figures are settings, limits in the code, or what others have published
+
+A figure is a number with a unit, and any number with a decimal point in a table. Code blocks do not count: other tests
+run them. Sections in `PENDING` have figures from before there were sources. Take a section off the list once it has its
+marks; put none on it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from tests.pending_figures import PENDING
+from training.measure.record import NUMBER, RUNS, Run, agrees, is_same, load, run
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+MARK = re.compile(r"<!-- (?:measured: ([\w, ]+)|(given)) -->")
+UNITS = r"dB|EV|ms|s|%|MiB|GiB|MB|GB|KB|KiB|seconds|minutes|min|hours|samples|times|x(?![\dx])|frames a second"
+FIGURE = re.compile(rf"({NUMBER.pattern}) ?(?:{UNITS})(?![\w-])")
+CELL = re.compile(r"(?<![\w.])[+-]?\d+\.\d+(?![\w.])")
+
+
+class Part(NamedTuple):
+    """A part of a page with one source: `sources` are names of runs, None where nothing is said."""
+
+    section: str
+    sources: tuple[str, ...] | None
+    is_given: bool
+    text: str
+
+    def figures(self) -> list[str]:
+        found = [match[1] for match in FIGURE.finditer(self.text)]
+        rows = [line for line in self.text.splitlines() if line.startswith("|")]
+        return found + [number for row in rows for number in CELL.findall(row)]
+
+
+def parts_of(text: str) -> Iterator[Part]:
+    """A page's parts, in order, without code and links' targets."""
+    text = re.sub(r"(?ms)^```.*?^```$|^(?: {4}[^\n]*\n?)+|`[^`\n]*`", "", text)
+    text = re.sub(r"\]\([^)]*\)", "]", text)
+    for block in filter(None, re.split(r"(?m)^(?=#)", text)):
+        title = block.partition("\n")[0].lstrip("# ") if block.startswith("#") else ""
+        sources: tuple[str, ...] | None = None
+        is_given, start = False, 0
+        for mark in MARK.finditer(block):
+            yield Part(title, sources, is_given, block[start:mark.start()])
+            sources, is_given = tuple(re.split(", *", mark[1])) if mark[1] else None, bool(mark[2])
+            start = mark.end()
+        yield Part(title, sources, is_given, block[start:])
+
+
+def sections_without_source() -> dict[str, list[str]]:
+    """Page -> sections that have figures and name no source."""
+    found: dict[str, list[str]] = {}
+    for page in PAGES:
+        for part in parts_of(page.read_text(encoding="utf-8")):
+            name = page.relative_to(ROOT).as_posix()
+            if part.sources is None and not part.is_given and part.figures() and \
+                    part.section not in found.get(name, []):
+                found.setdefault(name, []).append(part.section)
+    return found
+
+
+def test_a_part_s_figures_are_found() -> None:
+    page = ("# One\n1.5 dB of `2 dB`\n<!-- measured: a, b -->\n| 3 | 4.25 |\n\n    5 dB\n\n6 % and 7x8\n"
+            "<!-- given -->\n8 EV\n## Two\n9x, 1.5 of it\n")
+    found = [(part.section, part.sources, part.is_given, part.figures()) for part in parts_of(page)]
+    assert found == [("One", None, False, ["1.5"]), ("One", ("a", "b"), False, ["6", "4.25"]),
+                     ("One", None, True, ["8"]), ("Two", None, False, ["9"])]
+
+
+def test_figures_are_rounded_numbers_of_a_run() -> None:
+    made = Run({"tolerance": "0.1"}, "worth 124.26 samples, 1,234 of them, 3.0e-05, -0.8")
+    assert all(made.has(figure) for figure in ("124.3", "124", "1234", "1,234", "3e-5", "0.8", "-0.8"))
+    assert not any(made.has(figure) for figure in ("125", "124.2", "0.9", "26"))
+    assert is_same("12.34", "12.3") and not is_same("12.36", "12.3")
+    assert agrees("10.0", "10.1", 0) and not agrees("10.0", "10.3", 0.02) and agrees("10.0", "11.0", 0.1)
+
+
+def test_new_figures_have_a_source() -> None:
+    """No section but those of the list is without one, and none is on the list that has one."""
+    found = sections_without_source()
+    new = {page: sections for page in found
+           if (sections := [one for one in found[page] if one not in PENDING.get(page, ())])}
+    assert not new, "say where these figures come from: see tests/test_figures.py"
+    done = {page: sections for page in PENDING
+            if (sections := [one for one in PENDING[page] if one not in found.get(page, ())])}
+    assert not done, "these have no figures without a source any more: take them off tests/pending_figures.py"
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if "<!-- measured:" in page.read_text(encoding="utf-8")],
+                         ids=lambda page: page.stem)
+def test_figures_are_those_of_their_sources(page: Path) -> None:
+    for part in parts_of(page.read_text(encoding="utf-8")):
+        if part.sources is not None:
+            runs = [load(name) for name in part.sources]
+            lost = [figure for figure in part.figures() if not any(made.has(figure) for made in runs)]
+            assert not lost, f"{page.name}, {part.section}: not in {', '.join(part.sources)}"
+
+
+def test_every_source_says_where_it_is_from_and_is_used() -> None:
+    parts = (part for page in PAGES for part in parts_of(page.read_text(encoding="utf-8")))
+    used = {name for part in parts for name in part.sources or ()}
+    assert {path.stem for path in RUNS.glob("*.txt")} == used
+    for name in used:
+        facts = load(name).facts
+        assert re.fullmatch(r"[0-9a-f]{7,40}", facts["commit"]) and re.fullmatch(r"\d{4}-\d\d-\d\d", facts["date"])
+        assert facts["command"].startswith("python ") and facts["machine"]
+
+
+@pytest.mark.parametrize("name", [path.stem for path in sorted(RUNS.glob("*.txt")) if load(path.stem).is_repeatable])
+def test_scripts_still_print_what_was_recorded(name: str) -> None:
+    """Those that are short enough."""
+    recorded = load(name)
+    now = Run(recorded.facts, run(shlex.split(recorded.facts["command"])))
+    assert len(now.numbers()) == len(recorded.numbers())
+    off = [(one, other) for one, other in zip(recorded.numbers(), now.numbers(), strict=True)
+           if not agrees(one, other, recorded.tolerance)]
+    assert not off
+
+
+def test_the_figures_of_model_cards_name_their_script() -> None:
+    """Scripts that are there: of the training, and of every step of the recipe."""
+    for path in sorted((ROOT / "models").glob("*.json")):
+        card = json.loads(path.read_text(encoding="utf-8"))
+        scripts = [card["training"]["script"]] if "script" in card.get("training", {}) else []
+        steps = (step.get("run", "") for step in (card.get("recipe") or {}).get("steps", ()))
+        modules = [step.split()[0] for step in steps if step.startswith("training.")]
+        scripts += [f"{module.replace('.', '/')}.py" for module in modules]
+        for script in scripts:
+            there = (ROOT / script).is_file() or (ROOT / script.removesuffix(".py") / "__main__.py").is_file()
+            assert there, f"{path.name}: {script}"
+        assert scripts or not card.get("quality"), f"{path.name}: figures without a script"
