@@ -24,10 +24,12 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 
 from postfx.errors import ReadError, WriteError
-from postfx.system import Workers
+
+if TYPE_CHECKING:  # a build reads the command line's help without NumPy
+    from postfx.system import Workers
 
 MAX_BYTES = 1 << 30
 """Largest file that `read_text` reads unless told otherwise."""
@@ -286,6 +288,8 @@ def read_ahead(items: Iterable[Item], read: Callable[[Item], Content]) -> Iterat
 
     An error of `read` is raised when it is the item's turn, so that earlier items are not lost.
     """
+    from postfx.system import Workers
+
     with Workers(1, "postfx read") as reader:
         coming: tuple[Item, Future[Content]] | None = None
         for item in items:
@@ -299,6 +303,8 @@ def read_ahead(items: Iterable[Item], read: Callable[[Item], Content]) -> Iterat
 @cache
 def file_threads(count: int) -> Workers:
     """Threads that unpack and pack files. They stay, as starting them costs time."""
+    from postfx.system import Workers
+
     return Workers(count, "postfx zip")
 
 
@@ -328,6 +334,8 @@ class WriteBehind:
     """
 
     def __init__(self) -> None:
+        from postfx.system import Workers
+
         self._writer = Workers(1, "postfx write")
         self._last: Future[None] | None = None
 
