@@ -145,9 +145,10 @@ ROOMS = (
 )
 """The first one that holds a source is its room."""
 CHOSEN = (
+    ("h", "clip(y + j, picture.height)", "clip(y + j, picture.height - 1)"),
     ("py", "history[min(max(top + j, 0), height - 1)", "history[min(max(top + j, 0), height - 2)"),
     ("py", "pixel[c] = max(pixel[c], ZERO)", "pixel[c] = pixel[c]"),
-    ("py", "runs_of(columns, w, width, int(window[LEFT])", "runs_of(columns, w, width, int(window[TOP])"),
+    ("cpp", "clip(at - Long(window->left), w)", "clip(at - Long(window->top), w)"),
     ("py", "flat[2 * x] * scale[0], flat", "flat[2 * x] * scale[1], flat"),
     ("py", "np.int32(width - 8), np.int32(height - 4)", "np.int32(width - 8), np.int32(height - 3)"),
     ("cuh", "within(top + 3, height)", "within(top + 2, height)"),
@@ -155,12 +156,11 @@ CHOSEN = (
     ("py", "right, bottom = np.float32(w) - HALF", "right, bottom = np.float32(w) + HALF"),
     ("py", "found[2] * gain, found[3] * keep[x]", "found[2] * gain, found[3]"),
     ("py", "BLEND = TAP_WEIGHTS + PHASES", "BLEND = TAP_WEIGHTS + PHASES - 1"),
-    ("py", "shift = i - REACH", "shift = REACH - i"),
-    ("py", "(x + first) // 2", "x // 2"),
-    ("py", "(TAP_WEIGHTS + 2 * lower) * hp", "(TAP_WEIGHTS + lower) * hp"),
+    ("h", "x + tap % SIDE - REACH", "x - tap % SIDE + REACH"),
+    ("cpp", "below + (x + second) / 2", "below + x / 2"),
+    ("cpp", "weights[0], x, 2 * lower, 0", "weights[0], x, lower, 0"),
     ("py", "moved[at, 0] * scale[0]", "moved[at, 0] * scale[1]"),
-    ("py", "first = 4 * channel + 2 * (y % 2)\n            left, right, row = phased",
-     "first = 4 * channel + (y % 2)\n            left, right, row = phased"),
+    ("cpp", "phase = 4 * channel + 2 * (y % 2)", "phase = 4 * channel + (y % 2)"),
     ("cu", "2 * (y % 2) + x % 2) * part", "2 * (x % 2) + y % 2) * part"),
     ("py", "if value == value else DARKEST_BYTE", ""),
     ("py", "or abs(columns[1]) > MARGIN - 3", "or columns[1] > MARGIN - 3"),
@@ -184,7 +184,7 @@ CHOSEN = (
     ("py", "if z < nearest[j, i]:", "if True:"),
     ("py", "not (cut or frame.reset)", "not cut"),
 )
-"""Python or CUDA, what stands once in all of postfx's sources of that kind, and the fault that is put in its place."""
+"""The kind of source, what stands once in all of postfx's sources of that kind, and the fault in its place."""
 EQUIVALENT = {
     "number: 0 -> -1 in for before, frame in zip([frames[0]": "the motion of the first frame leads to none before it",
     "number: 1 -> 2 in head = json.dumps(": "JSON means the same with other spaces",

@@ -102,7 +102,7 @@ class KernelCache(_Cache):
         try:
             facts = pickle.loads(_unseal(content))
             return CompileResult._rebuild(target_context, *facts)  # type: ignore[no-any-return,no-untyped-call]
-        except Exception:  # of a damaged file anything may be raised: the kernel is compiled again
+        except Exception:  # of a damaged file anything may be raised: it is compiled again, and the file replaced
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:

@@ -14,6 +14,7 @@ typedef unsigned char byte;
 typedef signed char sbyte;
 
 #define FN static inline __attribute__((always_inline))
+#define FN_MEMBER __attribute__((always_inline))
 #define UNROLL _Pragma("clang loop unroll(full)")
 
 #if defined(__AVX512F__)
@@ -84,8 +85,8 @@ template <int STEP, int... I> FN Wide pick_wide(const float* at, List<int, I...>
     }
 }
 template <class F, int STEP> FN F pick(const float* at) {
-    if constexpr (Of<F>::COUNT == 1) {
-        return *at;
+    if constexpr (Of<F>::COUNT == 1 || STEP == 1) {
+        return load<F>(at);
     } else {
         return pick_wide<STEP>(at, Lanes());
     }
@@ -122,6 +123,35 @@ template <class F> FN void store_pairs(float* at, F even, F odd) {
     }
 }
 
+// Three rows as one of triples.
+template <int FIRST, int... I>
+FN Wide triples_from(Wide a, Wide b, Wide c, List<int, I...>) {
+    const Wide ab = TWO_OF(a, b, (FIRST + I) % 3 == 1 ? WIDE + (FIRST + I) / 3 : (FIRST + I) / 3);
+    return TWO_OF(ab, c, (FIRST + I) % 3 == 2 ? WIDE + (FIRST + I) / 3 : I);
+}
+template <class F> FN void store_triples(float* at, F a, F b, F c) {
+    if constexpr (Of<F>::COUNT == 1) {
+        at[0] = a;
+        at[1] = b;
+        at[2] = c;
+    } else {
+        store<Wide>(at, triples_from<0>(a, b, c, Lanes()));
+        store<Wide>(at + WIDE, triples_from<WIDE>(a, b, c, Lanes()));
+        store<Wide>(at + 2 * WIDE, triples_from<2 * WIDE>(a, b, c, Lanes()));
+    }
+}
+
+// Every STEP-th number from places that are given.
+template <class F, int STEP = 1> FN F gather(const float* at, const int* places) {
+    if constexpr (Of<F>::COUNT == 1) {
+        return at[STEP * *places];
+    } else {
+        F x;
+        for (int i = 0; i < Of<F>::COUNT; i++) x[i] = at[STEP * places[i]];
+        return x;
+    }
+}
+
 // first, first + step, first + 2 step ...
 template <class F> FN F ramp(float first, float step) {
     if constexpr (Of<F>::COUNT == 1) {
@@ -144,6 +174,9 @@ template <class F> FN typename Of<F>::Int load_int(const int* at) {
     typename Of<F>::Int x;
     __builtin_memcpy(&x, at, sizeof x);
     return x;
+}
+template <class F> FN void store_int(int* at, typename Of<F>::Int x) {
+    __builtin_memcpy(at, &x, sizeof x);
 }
 
 // Functions: polynomials of Cephes (Moshier).

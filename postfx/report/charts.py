@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio
@@ -13,9 +13,11 @@ from postfx.colour.views import BANDS
 from postfx.errors import WriteError
 from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot
 from postfx.files import write_atomically
-from postfx.presenter import BUCKET, Pacing
 from postfx.report.frame_log import Row
 from postfx.report.pictures import png
+
+if TYPE_CHECKING:
+    from postfx.presenter import Pacing
 
 Colour = tuple[int, int, int]
 
@@ -235,7 +237,7 @@ def _legend(canvas: Canvas) -> None:
         canvas.text(x + 36, 52, text, INK, 15)
 
 
-def draw_pacing(pacing: Pacing, path: Path) -> None:
+def draw_pacing(pacing: Pacing, bucket: float, path: Path) -> None:
     """Write the PNG, 1200x560: each interval in order, and right of it how many fall into each bucket. Raises
     WriteError."""
     canvas = Canvas(WIDTH, HEIGHT, PAPER)
@@ -252,7 +254,7 @@ def draw_pacing(pacing: Pacing, path: Path) -> None:
         canvas.text(LEFT - 10, place, f"{1e3 * turns * pacing.interval:.1f} ms", FAINT, 14, "right")
     if measured.size:
         canvas.dots(np.linspace(LEFT + 8, middle - 20, measured.size), y(measured), INK, 5)
-    half, most = BUCKET * pacing.interval / 2, max(pacing.histogram.values(), default=1)
+    half, most = bucket * pacing.interval / 2, max(pacing.histogram.values(), default=1)
     for seconds, count in pacing.histogram.items():
         end = middle + (RIGHT_EDGE - middle - 60) * count / most
         canvas.box(middle, float(y(seconds + half)), max(end, middle + 2), float(y(seconds - half)), INK, 0.6)

@@ -78,8 +78,8 @@ def test_lines_are_completed(line, expected, tmp_path):
 
 def test_the_man_page_holds_every_verb_and_option(tmp_path):
     page = tmp_path / "postfx.1"
-    subprocess.run([sys.executable, str(ROOT / "hatch_build.py"), str(page)], check=True)
-    text = page.read_text().replace("\\-", "-")
+    subprocess.run([sys.executable, "-S", str(ROOT / "hatch_build.py"), str(page)], check=True)
+    text = page.read_text().replace("\\-", "-")  # -S: an isolated build has no packages
     assert all(f".SH POSTFX {verb.upper()}\n" in text for verb in VERBS)
     assert all(re.search(rf"^\.B .*{option.flag}\b", text, re.MULTILINE) for option in RUN if option.flag != "input")
     if shutil.which("groff"):

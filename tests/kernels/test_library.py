@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +16,17 @@ import pytest
 
 from postfx.errors import BindingError, DeviceError
 from postfx.kernels import Kernel, build, constants_of, find_source, library
+from postfx.kernels.denoise import FINE
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE
 from postfx.kernels.library import Rows
 from postfx.runtime import ArgumentTable, Device
 from tests.conftest import REPOSITORY
-from tests.kernels import denoise_cases, host_cuda
-from tests.kernels.denoise_cases import CASES, ODD, arguments, run, shape
+from tests.kernels import denoise_cases, foreign, host_cuda
+from tests.kernels.denoise_cases import CASES, ODD, arguments, case_for, run, shape
+from tests.kernels.test_denoise_kernels import FROM_CODES, codes_of
 
-IN_CPP = [kernel for kernel in denoise_cases.KERNELS if isinstance(kernel.rows, Rows)]
+IN_CPP = [kernel for kernel in (*denoise_cases.KERNELS, *(coded for _, coded in FROM_CODES))
+          if isinstance(kernel.rows, Rows)]
 FUSED = [level for level in library.levels() if level != "baseline"] or ["baseline"]
 """Levels that multiply and add in one instruction."""
 needs_compiler = pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="needs ziglang")
@@ -49,10 +53,18 @@ def at_level(kernel: Kernel, level: str, inputs: dict[str, np.ndarray], case: de
     return list(found.values())
 
 
+def inputs_of(kernel: Kernel, most: int = 100) -> Iterator[tuple[denoise_cases.Case, dict[str, np.ndarray]]]:
+    """Cases and what a kernel reads there."""
+    plain = {coded: plain for plain, coded in FROM_CODES}.get(kernel)
+    for case, bad in denoise_cases.runs_of(kernel)[:most]:
+        inputs = arguments(plain or kernel, case, bad=bad)
+        codes = codes_of(case_for(kernel, case), 4 * FINE, 12)[0] if plain else {}
+        yield case, {name: codes.get(name, inputs.get(name)) for name in kernel.reads}
+
+
 @pytest.mark.parametrize("kernel", IN_CPP, ids=lambda kernel: kernel.name)
 def test_every_level_gives_the_same_bits(kernel: Kernel) -> None:
-    for case, bad in denoise_cases.runs_of(kernel):
-        inputs = arguments(kernel, case, bad=bad)
+    for case, inputs in inputs_of(kernel):
         wanted = at_level(kernel, FUSED[0], inputs, case)
         for level in FUSED[1:]:
             for one, other in zip(at_level(kernel, level, inputs, case), wanted, strict=True):
@@ -60,6 +72,22 @@ def test_every_level_gives_the_same_bits(kernel: Kernel) -> None:
         for one, other in zip(at_level(kernel, "baseline", inputs, case), wanted, strict=True):
             scale = np.abs(other[np.isfinite(other)]).max(initial=1)
             np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5 * scale, err_msg=str(case))
+
+
+@needs_compiler
+@pytest.mark.skipif(foreign.EMULATOR is None, reason="needs qemu-aarch64")
+def test_arm64_gives_the_same_bits_too(tmp_path: Path) -> None:
+    """An emulator runs the kernels compiled for it."""
+    program = foreign.make_program([kernel.rows.name for kernel in IN_CPP], tmp_path)
+    for number, kernel in enumerate(IN_CPP):
+        for case, inputs in inputs_of(kernel, most=6):
+            wanted = at_level(kernel, FUSED[-1], inputs, case)
+            written = [np.zeros_like(one) for one in wanted]
+            name, axis = kernel.row_axis
+            rows = written[kernel.writes.index(name)].shape[axis]
+            found = foreign.run(program, number, rows, [*inputs.values(), *written])[len(inputs):]
+            for one, other in zip(found, wanted, strict=True):
+                np.testing.assert_array_equal(one, other, f"{kernel.name} {case}")
 
 
 def forms(kernel: Kernel, inputs: dict[str, np.ndarray], case: denoise_cases.Case) -> dict[str, dict[str, np.ndarray]]:
@@ -150,6 +178,19 @@ def test_a_plug_in_brings_one_header(plug_in: Path) -> None:
     commands.commit()
     commands.wait(timeout=60)
     np.testing.assert_array_equal(bound["scaled"].array, 3 * image)
+
+
+@needs_compiler
+def test_the_header_of_the_documentation(plug_in: Path) -> None:
+    text = (REPOSITORY / "docs" / "howto" / "passes.md").read_text("utf-8")
+    (code,) = re.findall(r"^```cpp\n(.*?)^```", text, re.M | re.S)
+    plug_in.write_text(code)
+    colour = np.random.default_rng(0).random((9, 37, 3), np.float32)
+    found = np.zeros_like(colour)
+    Rows("vignette", plug_in)(0, 9, colour, np.float32([0.5]), found)
+    v, u = ((2 * np.arange(size) + 1) / size - 1 for size in colour.shape[:2])
+    wanted = colour * (1 - 0.5 * (u[None, :] ** 2 + v[:, None] ** 2) / 2)[..., None]
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
 
 
 @needs_compiler

@@ -3,6 +3,13 @@
 
 constexpr float TINY = 1e-8f;
 constexpr float STEEPEST = 8.0f;
+constexpr float MAX_COLOUR = 1e4f;
+constexpr float MOST_LOG = 20.0f;
+constexpr float MOST_REFLECTANCE = 4.0f;
+constexpr float EMITTER = 0.005f;
+constexpr float LEAST_TINT = 0.15f;
+constexpr float ADDED = 0.01f;
+constexpr int TRUST_CELL = 8;
 constexpr int KERNEL = 25;
 constexpr int TAP_WEIGHTS = KERNEL;
 constexpr int BLEND = 61;

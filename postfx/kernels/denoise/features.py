@@ -472,25 +472,5 @@ def trust_rows(y0: int, y1: int, diffuse_albedo: np.ndarray, specular_albedo: np
             trust[row, column, 0] = ONE - DOUBT * apart / (spread + 3 * FAINT * count) if count else ONE
 
 
-@compiled
-def place_of(at: Real, offset: Real, size: int) -> Real:
-    """Where a pixel's centre lies among the cells of ``size`` render pixels, from centre to centre."""
-    place = (np.float32(at) + offset + HALF) / np.float32(TRUST_CELL) - HALF
-    return min(max(place, ZERO), np.float32((size - 1) // TRUST_CELL))
-
-
-@compiled
-def trust_row(trust: np.ndarray, place: Real, places: np.ndarray, row: np.ndarray) -> None:
-    """How far each pixel of a row of the output trusts the guides, linear between cells."""
-    upper = int(place)
-    lower, share = min(upper + 1, trust.shape[0] - 1), place - np.float32(upper)
-    for x in range(places.size):
-        i = int(places[x])
-        j, across = min(i + 1, trust.shape[1] - 1), places[x] - np.float32(i)
-        above = trust[upper, i, 0] + (trust[upper, j, 0] - trust[upper, i, 0]) * across
-        below = trust[lower, i, 0] + (trust[lower, j, 0] - trust[lower, i, 0]) * across
-        row[x] = above + (below - above) * share
-
-
 TRUST = kernel("trust", (*REFLECTANCE, *GUIDE_REFLECTANCE, "window", "part_rows", "part_columns"), ("trust",),
                trust_rows, ("trust", 0))

@@ -26,15 +26,10 @@ import numpy as np
 
 from postfx.kernels.denoise import (
     FARTHEST,
-    GAIN,
-    HEIGHT,
-    LEFT,
     MAX_COLOUR,
     MAX_FLOAT,
     NEAREST,
     STATE,
-    TOP,
-    WIDTH,
     kernel,
 )
 from postfx.kernels.denoise.prepare import finite
@@ -47,14 +42,12 @@ from postfx.kernels.numeric import (
     centre,
     clamp,
     compiled,
-    expm1,
     fused,
     fused_inline,
     inline,
     largest_eight,
     load_four,
     load_sixteen,
-    log1p,
     store_eight,
     vectorised,
     weigh_pixels,
@@ -263,38 +256,8 @@ def warp_row(y: int, columns: np.ndarray, begin: np.ndarray, starts: np.ndarray,
                 pixel[c] = max(pixel[c], ZERO)
 
 
-@vectorised
-def rescale_row(row: np.ndarray, gain: Real) -> None:
-    """A row of log-encoded colour after an exposure change."""
-    for i in range(row.size):
-        row[i] = log1p(expm1(row[i]) * gain)
-
-
-@compiled
-def history_rows(y0: int, y1: int, history: np.ndarray, moved: np.ndarray, params: np.ndarray, window: np.ndarray,
-                 out_rows: np.ndarray, out_columns: np.ndarray, warped: np.ndarray) -> None:
-    """The last output where its pixels are now, bicubic, edge repeated; rescaled where the exposure changed."""
-    height, width = history.shape[:2]
-    h, w, count = int(window[HEIGHT]), int(window[WIDTH]), moved.shape[1]
-    columns, scale = out_columns.astype(np.int64), (np.float32(width / w), np.float32(height / h))
-    begin, first = runs_of(columns, w, width, int(window[LEFT]), count)
-    shift, weights = np.empty((2, count), np.int32), np.empty((2, 4, count), np.float32)
-    starts, others, last = np.empty(count, np.int32), np.empty(count, np.int64), -1
-    for out in range(y0, y1):
-        y, row = int(out_rows[out]), warped[out].reshape(3 * columns.size)
-        iy, _ = centre(y, h, height)
-        iy = min(max(iy - int(window[TOP]), 0), moved.shape[0] - 1)
-        if iy != last:
-            steps(moved[iy], scale, shift, weights)
-            last = iy
-        find_starts(y, height, width, first, shift, starts)
-        warp_row(y, columns, begin, starts, history, shift, weights, others, row)
-        if params[GAIN] != ONE:
-            rescale_row(row, params[GAIN])
-
-
 HISTORY = replace(kernel("history", ("history", "moved", "params", "window", "out_rows", "out_columns"), ("warped",),
-                         history_rows, ("warped", 0)), pixels=(2, 2))
+                         None, ("warped", 0)), pixels=(2, 2))
 
 
 FOCAL, FOCAL_THEN, JITTER, TURN, SHIFT, WORLD, CAMERA = 0, 2, 4, 6, 15, 18, 27

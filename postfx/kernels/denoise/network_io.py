@@ -25,18 +25,13 @@ meaning. With a ring, it has one more row and column on every side, where all ch
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, STEEPEST, in_half, kernel
 from postfx.kernels.library import Rows
-from postfx.kernels.numeric import Real, compiled, exp, fused, fused_inline, inline, vectorised
-from postfx.kernels.vectors import multiply_codes, turn_codes, wide_rows
+from postfx.kernels.numeric import Real, compiled, inline, vectorised
 
-Coded: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Codes, factors and scaling."""
 LANES = 8
 LEVEL = KERNEL + 1
 FINE_PHASES = 4
@@ -102,67 +97,8 @@ in_half(OPEN, "heads")
 in_half(OPEN_FINE, "fine")
 
 
-ONE, TWO = np.float32(1), np.float32(2)
-LEAST, MOST = np.float32(-80), np.float32(80)
-
-
-@fused_inline
-def weight(logit: Real) -> Real:
-    """Filter weight, with which sums stay within half precision, too."""
-    return exp(min(max(logit, -STEEPEST), STEEPEST))
-
-
-@fused_inline
-def gate(logit: Real) -> Real:
-    """Logistic function."""
-    return ONE / (ONE + exp(min(max(-logit, LEAST), MOST)))
-
-
-@fused_inline
-def state(logit: Real) -> Real:
-    """Hyperbolic tangent."""
-    return ONE - TWO / (ONE + exp(min(max(TWO * logit, LEAST), MOST)))
-
-
 OPEN_PHASED = kernel("open_phased", ("phased_fine",), ("fine",), None, ("fine", 2),
                      phased_fine=(1, 4 * FINE, "half_hp", "half_wp"), fine=(1, FINE, "2*half_hp", "2*half_wp"))
-
-
-@fused
-def scaled_weights(left: np.ndarray, right: np.ndarray, scales: np.ndarray, row: np.ndarray) -> None:
-    """Filter weights of a row of pixels; `scales` (2, 2) are what even and odd columns are scaled by."""
-    for x in range(left.size):
-        row[2 * x] = weight(np.float32(left[x]) * scales[0, 0] + scales[1, 0])
-        row[2 * x + 1] = weight(np.float32(right[x]) * scales[0, 1] + scales[1, 1])
-
-
-@fused
-def scaled_gates(left: np.ndarray, right: np.ndarray, scales: np.ndarray, row: np.ndarray) -> None:
-    """Logistic function, likewise."""
-    for x in range(left.size):
-        row[2 * x] = gate(np.float32(left[x]) * scales[0, 0] + scales[1, 0])
-        row[2 * x + 1] = gate(np.float32(right[x]) * scales[0, 1] + scales[1, 1])
-
-
-@fused
-def scaled_states(left: np.ndarray, right: np.ndarray, scales: np.ndarray, row: np.ndarray) -> None:
-    """Hyperbolic tangent, likewise."""
-    for x in range(left.size):
-        row[2 * x] = state(np.float32(left[x]) * scales[0, 0] + scales[1, 0])
-        row[2 * x + 1] = state(np.float32(right[x]) * scales[0, 1] + scales[1, 1])
-
-
-@compiled
-def open_channel(channel: int, phase: int, sums: np.ndarray, scaling: np.ndarray, row: np.ndarray) -> None:
-    """A channel of the fine head in a row of pixels, from its sums (4, at least w / 2) and its first phase there."""
-    left, right = sums[phase, :row.size // 2], sums[phase + 1, :row.size // 2]
-    scales = scaling[:, 4 * channel + phase:4 * channel + phase + 2]
-    if channel < BLEND:
-        scaled_weights(left, right, scales, row)
-    elif channel < MEMORY:
-        scaled_gates(left, right, scales, row)
-    else:
-        scaled_states(left, right, scales, row)
 
 
 OPEN_PRODUCTS = Kernel(
@@ -185,26 +121,6 @@ OPEN_SOME_PRODUCTS = Kernel(
     {"products": (1, "4*channels", "half_hp", "half_wp"), "scaling": (2, 4 * FINE), "first": (1,),
      "fine": (1, "channels", "2*half_hp", "2*half_wp")},
     {"products": "int32"})
-
-
-@compiled
-def room_for_codes(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What `open_fine_codes` works in."""
-    wide = wide_rows(codes.shape[2])
-    return np.zeros((codes.shape[3] // 4, wide), np.int32), np.empty((4, wide), np.int32)
-
-
-@compiled
-def open_fine_codes(codes: np.ndarray, factors: np.ndarray, scaling: np.ndarray, channels: tuple[int, int],
-                    room: tuple[np.ndarray, np.ndarray], fine: np.ndarray, held: int, pair: int) -> None:
-    """Some channels of the fine head, of the codes (w, C) of one row, in a pair of rows of `fine` (1, n, pairs, 2, 2
-    w), which holds the channels from `held` on."""
-    turned, sums = room
-    turn_codes(codes, turned)
-    for channel in range(channels[0], channels[1]):
-        multiply_codes(turned, factors, 4 * channel, sums)
-        for lower in range(2):
-            open_channel(channel, 2 * lower, sums, scaling, fine[0, channel - held, pair, lower])
 
 
 OPEN_CODES = kernel("open_codes", ("codes", "factors", "scaling"), ("heads",), None, ("heads", 2),

@@ -1,0 +1,307 @@
+// Rows of the enlargement. Its six kernels differ in where the head comes from and in what reflectance
+// radiance is multiplied by.
+#include "upsample.h"
+#include "fine_codes.h"
+
+typedef View<const float, 3> Picture;
+typedef View<float, 3> NewPicture;
+typedef View<const float, 4> FineHead;
+
+// What all six read and write; `radiance` has the planes that are looked at.
+struct Upsample {
+    Picture radiance, moved, past, warped;
+    Params params;
+    Window window;
+    Picture keep;
+    NewPicture output, history;
+};
+struct Guides {
+    Picture diffuse, specular, trust;
+};
+
+// The head's rows: they are there, or two at a time are made of codes.
+struct Heads {
+    FineHead fine;
+    Codes codes;
+    Factors factors;
+    Scaling scaling;
+    Room<int> turned;
+    Room<float> made;
+    mutable Long pair = -1;
+
+    explicit Heads(const FineHead& fine) : fine(fine), codes(), factors(), scaling(), turned(0), made(0) {}
+    Heads(const Codes& codes, const Factors& factors, const Scaling& scaling)
+        : fine(), codes(codes), factors(factors), scaling(scaling), turned(room_for(codes)),
+          made(MIX * 4 * codes.size[2]) {}
+    explicit operator bool() const { return bool(turned) && bool(made); }
+
+    Head row(Long y) const {
+        if (codes.at == nullptr) return {fine(0, 0, y), fine.size[2] * fine.size[3]};
+        const Long w = 2 * codes.size[2];
+        if (pair != y / 2) {
+            pair = y / 2;
+            open_fine_row(codes, pair, factors, scaling, TAP_WEIGHTS, MIX, turned.at,
+                          made.at + TAP_WEIGHTS * 2 * w, 2 * w);
+        }
+        return {made.at + y % 2 * w, 2 * w};
+    }
+};
+
+// Memory: a row of colours and their trust, of guides, of shares; and of columns at any scale.
+struct Rooms {
+    Long width, columns;
+    Room<float> floats;
+    Room<int> index;
+
+    Rooms(Long width, Long columns)
+        : width(width), columns(columns), floats(17 * width + columns), index(width) {}
+    explicit operator bool() const { return bool(floats) && bool(index); }
+    float* rgb(int c) const { return floats.at + c * width; }
+    float* trust() const { return floats.at + 3 * width; }
+    float* guide(int c) const { return floats.at + (4 + c) * width; }
+    float* lean() const { return floats.at + 8 * width; }
+    float* near() const { return floats.at + 9 * width; }
+    float* wide() const { return floats.at + 12 * width; }
+    float* place() const { return floats.at + 15 * width; }
+    float* share() const { return floats.at + 16 * width; }
+};
+
+// Where a pixel's centre lies among the cells of `size` render pixels, from centre to centre.
+FN float place_of(Place at, Long size) {
+    const float place = (float(at.index) + at.offset + 0.5f) / TRUST_CELL - 0.5f;
+    return within<float>(place, 0.0f, float((size - 1) / TRUST_CELL));
+}
+
+// How far each pixel of a row of the output trusts the guides, linear between cells.
+static void fill_trust(const Picture& cells, float place, const float* places, Long width, float* out) {
+    const Long upper = Long(place), lower = clip(upper + 1, cells.size[0]);
+    const float share = place - float(upper);
+    for (Long x = 0; x < width; x++) {
+        const Long left = Long(places[x]), right = clip(left + 1, cells.size[1]);
+        const float across = places[x] - float(left);
+        const float a = *cells(upper, left), b = *cells(upper, right);
+        const float c = *cells(lower, left), d = *cells(lower, right);
+        const float above = a + (b - a) * across, below = c + (d - c) * across;
+        out[x] = above + (below - above) * share;
+    }
+}
+
+// The guides' reflectance in a row of the output, planar; beyond the frame the last one is repeated.
+static void fill_guides(const Guides& guides, Long y, Long left, const Rooms& rooms) {
+    const Long held = smaller<Long>(rooms.width, guides.diffuse.size[1] - left);
+    const float *some = guides.diffuse(y, left), *others = guides.specular(y, left);
+    across(0, held, PIXELS(auto one, Long x) {
+        typedef decltype(one) F;
+        const Tint<F> found = tinted<F>(pick<F, 3>(some + 3 * x) + pick<F, 3>(others + 3 * x),
+                                        pick<F, 3>(some + 3 * x + 1) + pick<F, 3>(others + 3 * x + 1),
+                                        pick<F, 3>(some + 3 * x + 2) + pick<F, 3>(others + 3 * x + 2));
+        store<F>(rooms.guide(0) + x, found.red);
+        store<F>(rooms.guide(1) + x, found.green);
+        store<F>(rooms.guide(2) + x, found.blue);
+    });
+    for (int c = 0; c < 3; c++) {
+        for (Long x = held; x < rooms.width; x++) rooms.guide(c)[x] = rooms.guide(c)[held - 1];
+    }
+}
+
+// The render pixels' reflectance in a row of the output, planar.
+static void fill_own(const float* factor, const Rooms& rooms) {
+    for (Long x = 0; x < rooms.width; x++) {
+        for (int c = 0; c < 3; c++) rooms.guide(c)[x] = factor[3 * rooms.index.at[x] + c];
+    }
+}
+
+template <class F> FN void keep_lit(const Rooms& rooms, Long x, const Lit<F>& lit) {
+    for (int c = 0; c < 3; c++) store<F>(rooms.rgb(c) + x, lit.rgb[c]);
+    store<F>(rooms.trust() + x, lit.trust);
+}
+
+// Colours of a row, in three ways.
+
+template <Reflectance BY>
+FN void row_at_corners(const Row& row, const Weights (&weights)[2], int lower, const Rooms& rooms) {
+    across(0, rooms.columns, PIXELS(auto one, Long x) {
+        typedef decltype(one) F;
+        const AtCorner left = {row, weights[0], x, 2 * lower, 0};
+        const AtCorner right = {row, weights[1], x, 2 * lower + 1, 1};
+        const Lit<F> even = upsample_pixel<F, BY>(row, left);
+        const Lit<F> odd = upsample_pixel<F, BY>(row, right);
+        for (int c = 0; c < 3; c++) store_pairs<F>(rooms.rgb(c) + 2 * x, even.rgb[c], odd.rgb[c]);
+        store_pairs<F>(rooms.trust() + 2 * x, even.trust, odd.trust);
+    });
+}
+
+template <Reflectance BY>
+FN void row_at_centres(const Row& row, const Weights& weights, const Rooms& rooms) {
+    across(0, rooms.width, PIXELS(auto one, Long x) {
+        typedef decltype(one) F;
+        keep_lit<F>(rooms, x, upsample_pixel<F, BY>(row, AtCentre{row, weights, x}));
+    });
+}
+
+template <Reflectance BY>
+FN void row_anywhere(const Row& row, const Distances& distances, float lower, const Rooms& rooms) {
+    const Columns columns = {rooms.index.at, rooms.lean(), rooms.near(), rooms.wide(), rooms.width};
+    across(0, rooms.width, PIXELS(auto one, Long x) {
+        typedef decltype(one) F;
+        const Anywhere at = {row, columns, distances, lower, x};
+        keep_lit<F>(rooms, x, upsample_pixel<F, BY>(row, at));
+    });
+}
+
+FN void blend_row(const Rooms& rooms, const float* warped, float darken, float* history, float* output) {
+    across(0, rooms.width, PIXELS(auto one, Long x) {
+        typedef decltype(one) F;
+        const F trust = load<F>(rooms.trust() + x);
+        F kept[3];
+        for (int c = 0; c < 3; c++) {
+            kept[c] = blended<F>(load<F>(rooms.rgb(c) + x), pick<F, 3>(warped + 3 * x + c), trust);
+        }
+        store_triples<F>(history + 3 * x, kept[0], kept[1], kept[2]);
+        store_triples<F>(output + 3 * x, expm1_of<F>(kept[0]) * darken, expm1_of<F>(kept[1]) * darken,
+                         expm1_of<F>(kept[2]) * darken);
+    });
+}
+
+// Any of the kernels: fill(y, at) makes the guides of a row.
+template <Reflectance BY, class Fill>
+FN Status upsample_rows(Long first, Long last, const Upsample& given, const Heads& heads,
+                        const Rooms& rooms, const Fill& fill) {
+    const Window& window = given.window;
+    const Long h = given.moved.size[0], w = rooms.columns, width = rooms.width;
+    const bool doubles = window.doubles() && width == 2 * w;
+    const bool same = window.keeps_size() && width == w;
+    for (Long x = 0; x < width; x++) {
+        const Place at = column_of(window, x, w);
+        const Distances distances = distances_of(given.params.jitter_x - at.offset);
+        rooms.index.at[x] = int(at.index);
+        rooms.lean()[x] = lean_of(at.offset);
+        for (int i = 0; i < 3; i++) {
+            rooms.near()[i * width + x] = distances.near[i];
+            rooms.wide()[i * width + x] = distances.wide[i];
+        }
+    }
+    const float scale_x = window.out_width / window.width, scale_y = window.out_height / window.height;
+    for (Long n = first; n < last; n++) {
+        const Long y = smaller<Long>(Long(window.out_top) + n, Long(window.out_height) - 1);
+        const Place at = row_of(window, n, h);
+        const Long iy = at.index;
+        const Distances down = distances_of(given.params.jitter_y - at.offset);
+        const float* kept = given.keep(clip(iy, given.keep.size[0]));
+        for (Long x = 0; x < w; x++) rooms.share()[x] = kept[clip(x, given.keep.size[1])];
+        fill(y, at);
+        const Row row = {
+            .head = heads.row(iy),
+            .radiance = given.radiance(0, iy),
+            .plane = given.radiance.size[1] * given.radiance.size[2],
+            .line = given.radiance.size[2],
+            .moved = given.moved(iy),
+            .past = given.past(iy),
+            .share = rooms.share(),
+            .guide = {rooms.guide(0), rooms.guide(1), rooms.guide(2), rooms.guide(3)},
+            .left = Long(window.out_left),
+            .y = float(y),
+            .right = window.out_width - 0.5f,
+            .bottom = window.out_height - 0.5f,
+            .across = scale_x,
+            .down = scale_y,
+        };
+        if (BY != OWN && doubles) {
+            const Weights sides[2] = {
+                weights_of(down, distances_of(given.params.jitter_x + 0.25f)),
+                weights_of(down, distances_of(given.params.jitter_x - 0.25f)),
+            };
+            if constexpr (BY != OWN) row_at_corners<BY>(row, sides, int(y % 2), rooms);
+        } else if (BY != GUIDED && same) {
+            const Weights weights = weights_of(down, distances_of(given.params.jitter_x));
+            if constexpr (BY != GUIDED) row_at_centres<BY>(row, weights, rooms);
+        } else if constexpr (BY != OWN) {
+            row_anywhere<BY>(row, down, lean_of(at.offset), rooms);
+        }
+        blend_row(rooms, given.warped(n), 1.0f / given.params.exposure, given.history(n), given.output(n));
+    }
+    return DONE;
+}
+
+// Reflectance.
+
+static Status plain_rows(Long first, Long last, const Upsample& given, const Heads& heads) {
+    const Rooms rooms(given.output.size[1], given.moved.size[1]);
+    if (!rooms || !heads) return NO_MEMORY;
+    return upsample_rows<NONE>(first, last, given, heads, rooms, [](Long, Place) {});
+}
+
+// Radiance without reflectance and with it: the first gets the guides' as far as they are trusted.
+static Status guided_rows(Long first, Long last, const Upsample& given, const Guides& guides,
+                          const Heads& heads) {
+    const Rooms rooms(given.output.size[1], given.moved.size[1]);
+    if (!rooms || !heads) return NO_MEMORY;
+    const Window& window = given.window;
+    const Long h = smaller<Long>(given.moved.size[0], Long(window.height) - Long(window.top));
+    const Long w = smaller<Long>(given.moved.size[1], Long(window.width) - Long(window.left));
+    for (Long x = 0; x < rooms.width; x++) {
+        rooms.place()[x] = place_of(column_of(window, x, rooms.columns), w);
+    }
+    return upsample_rows<GUIDED>(first, last, given, heads, rooms, [&](Long y, Place at) {
+        fill_guides(guides, y, Long(window.out_left), rooms);
+        fill_trust(guides.trust, place_of(at, h), rooms.place(), rooms.width, rooms.guide(3));
+    });
+}
+
+// The same planes at the size of the render. Where samples lie at the centres of pixels, those without
+// reflectance are weighed and then multiplied by the pixels' own: texture is not resampled. Else those
+// with it are.
+static Status unscaled_rows(Long first, Long last, Upsample given, const Picture& factor,
+                            const Heads& heads) {
+    if (given.params.jitter_x != 0 || given.params.jitter_y != 0) {
+        given.radiance.at = given.radiance(3);
+        return plain_rows(first, last, given, heads);
+    }
+    const Rooms rooms(given.output.size[1], given.moved.size[1]);
+    if (!rooms || !heads) return NO_MEMORY;
+    return upsample_rows<OWN>(first, last, given, heads, rooms, [&](Long, Place at) {
+        fill_own(factor(at.index), rooms);
+    });
+}
+
+// The kernels.
+
+#define LAST Given<Params> params, Given<Window> window, Picture keep, NewPicture output, NewPicture history
+#define BETWEEN Picture moved, Picture past, Picture warped
+#define GIVEN {radiance, moved, past, warped, *params, *window, keep, output, history}
+
+static Status plain(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, LAST) {
+    return plain_rows(first, last, GIVEN, Heads(fine));
+}
+EXPORT(denoise_upsample, plain)
+
+static Status guided(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, Picture diffuse,
+                     Picture specular, Picture trust, LAST) {
+    return guided_rows(first, last, GIVEN, {diffuse, specular, trust}, Heads(fine));
+}
+EXPORT(denoise_upsample_guided, guided)
+
+static Status unscaled(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, Picture factor,
+                       LAST) {
+    return unscaled_rows(first, last, GIVEN, factor, Heads(fine));
+}
+EXPORT(denoise_upsample_unscaled, unscaled)
+
+static Status plain_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
+                          Scaling scaling, BETWEEN, LAST) {
+    return plain_rows(first, last, GIVEN, Heads(codes, factors, scaling));
+}
+EXPORT(denoise_upsample_codes, plain_codes)
+
+static Status guided_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
+                           Scaling scaling, BETWEEN, Picture diffuse, Picture specular, Picture trust,
+                           LAST) {
+    return guided_rows(first, last, GIVEN, {diffuse, specular, trust}, Heads(codes, factors, scaling));
+}
+EXPORT(denoise_upsample_guided_codes, guided_codes)
+
+static Status unscaled_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
+                             Scaling scaling, BETWEEN, Picture factor, LAST) {
+    return unscaled_rows(first, last, GIVEN, factor, Heads(codes, factors, scaling));
+}
+EXPORT(denoise_upsample_unscaled_codes, unscaled_codes)
