@@ -200,14 +200,8 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Long sequences",
     ),
     "docs/neural.md": (
-        "Measured",
         "Time beside PyTorch",
-        "Sky probe",
-        "Irradiance",
         "Ambient occlusion",
-        "Materials",
-        "Deferred shading",
-        "Networks of one scene",
     ),
     "docs/quality.md": (
         "Quality",

@@ -15,6 +15,7 @@ import pytest
 
 import postfx
 from postfx.cuts import CutDetector
+from tests.kernels import host_cuda
 
 SAMPLES = Path(__file__).parent.parent / "samples"
 WRITERS = {"denoise_upscale.py": 8, "tone_map.py": 2, "pipeline.py": 8}
@@ -211,6 +212,27 @@ def test_a_neural_material_is_better_than_coarser_blocks(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10000
 
 
+def test_a_network_inside_of_a_kernel_gives_what_three_dispatches_give() -> None:
+    told = run("mlp_in_kernel.py", "--width", "96", "--runs", "1")
+    assert float(re.search(r"largest difference (\S+) of", told)[1]) < 1e-5 and "ratio" in told
+
+
+@pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
+def test_the_cuda_source_of_the_sample_shades_as_its_rows_do() -> None:
+    names = runpy.run_path(str(SAMPLES / "mlp_in_kernel.py"))
+    normal, albedo = names["ball"](18, 40)
+    inputs = {"network": names["NETWORK"].facts(), "parameters": names["NETWORK"].initial(), "normal": normal,
+              "albedo": albedo, "points": np.zeros((18, 40, 5), np.float32),
+              "values": np.random.default_rng(0).normal(size=(18, 40, 3)).astype(np.float32)}
+    for kernel in (names["ONE"], names["FEATURES"], names["SHADE"]):
+        given = {name: inputs[name] for name in kernel.reads}
+        shape = inputs[kernel.writes[0]].shape if kernel.writes[0] in inputs else normal.shape
+        wanted, found = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        kernel.rows(0, 18, *given.values(), wanted)
+        host_cuda.run(kernel, given | {kernel.writes[0]: found})
+        np.testing.assert_allclose(found, wanted, atol=1e-5)
+
+
 def test_small_networks_are_timed_beside_torch() -> None:
     pytest.importorskip("torch")
     told = run("neural_speed.py", "--widths", "8", "--threads", "1", "--points", "100", "--runs", "1", "--eager")
@@ -312,8 +334,8 @@ def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
-             "external_tone_mapper.py", "between_frames.py", "neural_speed.py", "sky.py", "sky_probe.py",
-             "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py", "time_model.py",
-             "neural_material.py", "neural_shading.py", "scene_network.py", "display.py", "reflections.py", "detail.py",
-             "site_pictures.py"}
+             "external_tone_mapper.py", "between_frames.py", "mlp_in_kernel.py", "neural_speed.py", "sky.py",
+             "sky_probe.py", "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py",
+             "time_model.py", "neural_material.py", "neural_shading.py", "scene_network.py", "display.py",
+             "reflections.py", "detail.py", "site_pictures.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

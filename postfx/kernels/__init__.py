@@ -146,11 +146,12 @@ def find_source(kernel: Kernel) -> Path | None:
 @cache
 def read_source(family: Path) -> str:
     """The source that is compiled for a file of kernels: the declaration of arguments, for our own kernels also the
-    constants and the code that all families share, then the header of the same name, if there is one, and the file."""
+    constants and the code that all families share, then the header of the same name, if there is one, and the file.
+    A plug-in's `#include <postfx/mlp.cuh>` becomes that header."""
     view = (SHARED / "view.cuh").read_text()
     own = "".join(path.read_text() for path in (family.with_suffix(".cuh"), family) if path.exists())
     if not family.is_relative_to(SOURCES):
-        return view + own
+        return view + own.replace("#include <postfx/mlp.cuh>", (SHARED / "mlp.cuh").read_text(), 1)
     source = (SHARED / "common.cuh").read_text() + own
     return view + print_constants(constants_of(family, source)) + source
 

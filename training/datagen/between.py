@@ -20,6 +20,7 @@ import numpy as np
 
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.integrate import rigid_previous_positions, write_planes
+from training.datagen.variant import use_variant
 
 WIDTH, HEIGHT, FOV, LIGHT_SAMPLES = 320, 180, 55.0, 8
 Thing = tuple[dict, np.ndarray]
@@ -291,7 +292,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=144, help="a pixel; four times as many with mirrors or glass")
     parser.add_argument("--frames", type=int, default=9)
     arguments = parser.parse_args()
-    mi.set_variant(arguments.variant)
+    use_variant(arguments.variant)
     for name in arguments.only.split(",") if arguments.only else SEQUENCES:
         render(arguments.out / name, SEQUENCES[name], arguments.frames, arguments.samples)
 

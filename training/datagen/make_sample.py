@@ -25,11 +25,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import mitsuba as mi
 import numpy as np
 from fileseq import FrameSet
 
 from postfx.bench.metrics import psnr, to_codes
+from training.datagen.variant import use_variant
 
 if TYPE_CHECKING:
     from training.datagen.scenes.build import BuiltScene
@@ -67,7 +67,7 @@ def main(argv: list[str] | None = None) -> None:
         command.add_argument("--height", type=int, default=size[1])
         command.set_defaults(act=act)
     args = parser.parse_args(argv)
-    mi.set_variant(args.variant)  # what is imported from here on uses Mitsuba's types
+    use_variant(args.variant)  # what is imported from here on uses Mitsuba's types
     args.out.mkdir(parents=True, exist_ok=True)
     args.act(args)
 

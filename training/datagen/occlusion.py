@@ -29,6 +29,7 @@ from training.datagen.scenes.draft import View
 from training.datagen.scenes.lights import Environments
 from training.datagen.scenes.meshes import merge
 from training.datagen.scenes.procedural import draft
+from training.datagen.variant import use_variant
 
 HELD_OUT = ("bathroom", "flight-helmet", "hospital", "kaykit-dungeon", "small-house")
 RADII = 0.06, 0.125, 0.25
@@ -244,7 +245,7 @@ def main() -> None:
     parser.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba: cuda_ad_rgb on a GPU")
     parser.add_argument("--threads", type=int, default=1)
     args = parser.parse_args()
-    mi.set_variant(args.variant)
+    use_variant(args.variant)
     dr.set_thread_count(args.threads)
     args.out.mkdir(parents=True, exist_ok=True)
     for name, scene, draw in scenes_of(args):

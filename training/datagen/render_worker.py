@@ -75,9 +75,9 @@ def maker(args: argparse.Namespace) -> Callable[[int], tuple]:
     """A function from a clip's number to the arguments of `save_clip`."""
     if args.blender:
         return cycles_maker(args)
-    import mitsuba as mi
+    from training.datagen.variant import use_variant
 
-    mi.set_variant(args.variant)
+    use_variant(args.variant)
     from training.datagen.clip import (  # these import Mitsuba types, so only after the variant is set
         ClipOptions,
         make_clip,

@@ -58,9 +58,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
 
 def render(args: argparse.Namespace) -> None:
     """Write the view's file."""
-    import mitsuba as mi
+    from training.datagen.variant import use_variant
 
-    mi.set_variant(args.variant)
+    use_variant(args.variant)
     from training.datagen.clip import (
         Style,
         filter_table,

@@ -111,7 +111,7 @@ def main(argv: list[str] | None = None) -> None:
     given = parser.parse_args(argv)
     commit = subprocess.run(["git", "rev-parse", "--short=10", "HEAD"], cwd=ROOT, capture_output=True, text=True,
                             check=True).stdout.strip()
-    output = run(given.command)
+    output = run(given.command).replace(f"{ROOT}/", "")
     facts = {"command": shlex.join(given.command), "commit": commit, "date": f"{datetime.date.today()}",
              "machine": machine(), "tolerance": f"{given.tolerance:g}", "repeat": "yes" if given.repeat else "no"}
     facts |= {"note": given.note} if given.note else {}

@@ -70,9 +70,9 @@ def _side(text: str) -> int:
 
 def maker(args: argparse.Namespace) -> Callable[[int], tuple[str, int]]:
     """A function that renders and writes a clip, for `training.datagen.render_worker.work`."""
-    import mitsuba as mi
+    from training.datagen.variant import use_variant
 
-    mi.set_variant(args.variant)
+    use_variant(args.variant)
     from training.datagen.tracing import Tracer  # these import Mitsuba types, so only after the variant is set
     from training.measure.validation.render import Options, light_paths, render_clip
 
