@@ -21,7 +21,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from postfx.kernels.denoise import FEATURES, FINE, KERNEL, MIX, SHARPEN
-from training.denoise.model import LEVELS, NO_SHARPENING, Trunk, TrunkConfig, activate_fine, filters
+from training.denoise.model import LEVELS, NO_SHARPENING, activate_fine, filters
 
 BRANCH = 0.2  # of the usual first weights of what a block adds
 STEEPEST = 8.0  # logits stay within this
@@ -147,10 +147,3 @@ class ResidualTrunk(nn.Module):
 
     def _fine(self, x: Tensor) -> Tensor:
         return activate_fine(bound(self.fine(normalise(x))))
-
-
-def trunk_from(config: dict[str, Any]) -> Trunk | ResidualTrunk:
-    """The trunk of a checkpoint's config, with random weights."""
-    if "up" in config:
-        return ResidualTrunk(ResidualConfig.from_dict(config))
-    return Trunk(TrunkConfig.from_dict(config))
