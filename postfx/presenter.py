@@ -122,7 +122,7 @@ class Pacing:
         """Write a PNG of all intervals in order, and of their histogram. Raises WriteError."""
         from postfx.report.charts import draw_pacing
 
-        draw_pacing(self, BUCKET, Path(path))
+        draw_pacing(str(self), self.interval, self.intervals, self.histogram, BUCKET, Path(path))
 
 
 class Presenter:

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 PENDING: dict[str, tuple[str, ...]] = {
+    "docs/howto/partner.md": (
+        "What it gains",
+        "How it is mixed",
+    ),
     "README.md": (
         "postfx",
         "Why believe it",
@@ -126,6 +130,7 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Why it is not part of postfx",
     ),
     "docs/lab/denoiser.md": (
+        "A trunk from the render size on",
         "Trust in guides",
         "Doubt in planes",
         "Volumes",
@@ -187,6 +192,7 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Convergence",
     ),
     "docs/measured/install.md": (
+        "Kernels in C++",
         "Installation",
         "Why Numba stays",
         "Optional parts",
@@ -255,6 +261,7 @@ PENDING: dict[str, tuple[str, ...]] = {
         "In the browser",
     ),
     "docs/training.md": (
+        "The yardstick",
         "Rendering and training at once",
         "Where kornia is used",
         "The log of runs",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio
@@ -15,9 +15,6 @@ from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot
 from postfx.files import write_atomically
 from postfx.report.frame_log import Row
 from postfx.report.pictures import png
-
-if TYPE_CHECKING:
-    from postfx.presenter import Pacing
 
 Colour = tuple[int, int, int]
 
@@ -237,25 +234,26 @@ def _legend(canvas: Canvas) -> None:
         canvas.text(x + 36, 52, text, INK, 15)
 
 
-def draw_pacing(pacing: Pacing, bucket: float, path: Path) -> None:
-    """Write the PNG, 1200x560: each interval in order, and right of it how many fall into each bucket. Raises
-    WriteError."""
+def draw_pacing(title: str, interval: float, intervals: Sequence[float], histogram: Mapping[float, int],
+                bucket: float, path: Path) -> None:
+    """Write the PNG of measured ``intervals`` in seconds, 1200x560: each in order, and right of it how many fall into
+    each bucket, of a width of ``bucket`` of the wanted ``interval``. Raises WriteError."""
     canvas = Canvas(WIDTH, HEIGHT, PAPER)
-    canvas.text(LEFT, 24, str(pacing), INK, 18)
-    measured, bottom, middle = np.array(pacing.intervals), HEIGHT - 60, round(0.75 * WIDTH)
-    top = max(2 * pacing.interval, float(measured.max(initial=0)) * 1.05)
+    canvas.text(LEFT, 24, title, INK, 18)
+    measured, bottom, middle = np.array(intervals), HEIGHT - 60, round(0.75 * WIDTH)
+    top = max(2 * interval, float(measured.max(initial=0)) * 1.05)
 
     def y(seconds: np.ndarray | float) -> np.ndarray:
         return np.asarray(bottom - np.asarray(seconds) / top * (bottom - TOP))
 
-    for turns in range(int(top / pacing.interval) + 1):
-        place = float(y(turns * pacing.interval))
+    for turns in range(int(top / interval) + 1):
+        place = float(y(turns * interval))
         canvas.box(LEFT, place, RIGHT_EDGE, place + 1, FAINT if turns == 1 else GRID)
-        canvas.text(LEFT - 10, place, f"{1e3 * turns * pacing.interval:.1f} ms", FAINT, 14, "right")
+        canvas.text(LEFT - 10, place, f"{1e3 * turns * interval:.1f} ms", FAINT, 14, "right")
     if measured.size:
         canvas.dots(np.linspace(LEFT + 8, middle - 20, measured.size), y(measured), INK, 5)
-    half, most = bucket * pacing.interval / 2, max(pacing.histogram.values(), default=1)
-    for seconds, count in pacing.histogram.items():
+    half, most = bucket * interval / 2, max(histogram.values(), default=1)
+    for seconds, count in histogram.items():
         end = middle + (RIGHT_EDGE - middle - 60) * count / most
         canvas.box(middle, float(y(seconds + half)), max(end, middle + 2), float(y(seconds - half)), INK, 0.6)
         canvas.text(end + 8, float(y(seconds)), str(count), INK, 14)
