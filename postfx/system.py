@@ -200,7 +200,7 @@ def parse_size(size: str | int) -> int:
     found = _SIZE.fullmatch(str(size).strip())
     if found is None or not float(found[1]):
         raise MemoryBudgetError(f"memory budget '{size}' is not a size: give bytes, or a number with K, M, G or T: 4G")
-    if not found[2] and float(found[1]) < _UNITS["M"]:
+    if isinstance(size, str) and not found[2] and float(found[1]) < _UNITS["M"]:
         raise MemoryBudgetError(f"memory budget '{size}' is in bytes without a unit: {found[1]}G for gigabytes?")
     return int(float(found[1]) * _UNITS[found[2].upper()])
 

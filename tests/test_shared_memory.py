@@ -137,7 +137,7 @@ def test_objects_and_bytes_on_the_host_stay_as_many():
 
 def test_two_threads_on_one_device_get_their_own_pictures():
     device = Device("cpu", threads=2)
-    chains = [make_chain(device), make_chain(device, scale=1)]
+    chains = [make_chain(device, scale=2), make_chain(device, scale=1)]
     alone = [[make_chain(Device("cpu", threads=2), scale=scale)(make_frame(0))[Role.COLOUR]] for scale in (2, 1)]
     results: list[list[np.ndarray]] = [[], []]
 

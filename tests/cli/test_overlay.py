@@ -142,7 +142,7 @@ def test_the_alpha_beside_the_colour_before_transparents_counts(postfx, write_ex
             "overlay.R": 0.5, "overlay.G": 0.5, "overlay.B": 0.5, "overlay.A": 0.5}
     for beside in ({}, {"opaque.A": 0.5}):
         write_exr("x.exr", {name: np.full((20, 30), value) for name, value in (flat | beside).items()})
-        done = postfx("run", "x.exr", "-o", "y.exr", "--model", "s", "--overwrite")
+        done = postfx("run", "x.exr", "-o", "y.exr", "--model", "s", "--scale", "2", "--overwrite")
         found = channels(tmp_path / "y.exr")
         np.testing.assert_allclose(found["R"], 0.6, atol=1e-3)
         if beside:

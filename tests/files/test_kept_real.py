@@ -32,6 +32,13 @@ FILES = (
 STRUCTURE = {"channels", "compression", "dataWindow", "displayWindow", "lineOrder", "chunkCount", "name", "type"}
 
 
+def there(source: Path) -> Path:
+    """The file; skips where that folder lacks it."""
+    if not source.exists():
+        pytest.skip(f"no {source.name}")
+    return source
+
+
 def write_darker(source: Path, out: Path, scale: int) -> tuple[Path, Frame]:
     frame = next(iter(read_sequence(source, planes=[Role.COLOUR])))
     larger = np.repeat(np.repeat(frame[Role.COLOUR], scale, 0), scale, 1) * np.float32(0.5)
@@ -40,13 +47,15 @@ def write_darker(source: Path, out: Path, scale: int) -> tuple[Path, Frame]:
 
 @pytest.mark.parametrize("name", FILES)
 def test_every_untouched_channel_and_attribute_is_kept(shared_dir: Path, tmp_path: Path, name: str) -> None:
-    source = shared_dir / name
+    source = there(shared_dir / name)
     out, frame = write_darker(source, tmp_path / "out.exr", 1)
     before, after = channel_hashes(source), channel_hashes(out)
-    in_place = frame.colour_source is not None and frame.colour_source.channels == ("R", "G", "B")
-    touched = {list(headers_of(source))[frame.colour_source.part]} if in_place else set()
+    shown = sorted(frame.colour_source.renders) if frame.colour_source else []
+    in_place = bool(shown) or (frame.colour_source is not None and frame.colour_source.channels == ("R", "G", "B"))
+    parts = {part for part, _ in shown} or ({frame.colour_source.part} if in_place else set())
+    touched = {list(headers_of(source))[part] for part in parts}
     for (part, channel), bits in before.items():
-        if part not in touched or channel not in ("R", "G", "B"):
+        if part not in touched or channel.rpartition(".")[2] not in ("R", "G", "B"):
             assert after[part if (part, channel) in after else "render", channel] == bits, (part, channel)
     assert len(after) == len(before) + 3 * (not in_place)
     chunks, attributes = chunk_hashes(out), headers_of(out)
@@ -60,7 +69,7 @@ def test_every_untouched_channel_and_attribute_is_kept(shared_dir: Path, tmp_pat
 
 @pytest.mark.parametrize("name", FILES)
 def test_enlarged_files_can_be_read_and_have_one_size(shared_dir: Path, tmp_path: Path, name: str) -> None:
-    source = shared_dir / name
+    source = there(shared_dir / name)
     out, frame = write_darker(source, tmp_path / "out.exr", 2)
     with ImageFile(source) as before, ImageFile(out) as after:
         sizes = {part.display: (2 * part.display.width, 2 * part.display.height) for part in before.parts}

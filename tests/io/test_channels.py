@@ -75,7 +75,8 @@ LAYERS = {
     "grey": (flat("YA", 0.5, 0.4), {"colour": [0.5] * 3, "alpha": [0.4]}),
     "Blender's File Output": (flat(["Image.R", "Image.G", "Image.B", "Image.A", "Denoising Albedo.R",
                                     "Denoising Albedo.G", "Denoising Albedo.B", "Vector.X", "Vector.Y"], *GREY,
-                                   0, 0, 0, 2, 3), WITH_ALPHA | {"diffuse_albedo": [0] * 3, "motion": [2, -3]}),
+                                   0, 0, 0, 2, 3), WITH_ALPHA | {"diffuse_albedo": [0] * 3, "denoising_albedo": [0] * 3,
+                                                                "motion": [2, -3]}),
     "a layer called image": (flat(["Image.R", "Image.G", "Image.B", "normal.X", "normal.Y", "normal.Z"], *GREY[:3],
                                   1, 2, 3), COLOUR | {"normal": [1, 2, 3]}),
 }

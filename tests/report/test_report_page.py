@@ -25,7 +25,7 @@ def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     path = folder / "look" / "report.html"
     assert main(["run", str(ROOM / "noisy.####.exr"), "-o", str(folder / "clean.####.exr"), "--frames", "1-3",
-                 "--model", "s", "--device", "cpu", "--report", str(path), "--reference",
+                 "--model", "s", "--scale", "2", "--device", "cpu", "--report", str(path), "--reference",
                  str(ROOM / "reference.####.exr")]) == 0
     return path
 

@@ -24,8 +24,8 @@ SIZES = ((1, 1), (1, 40), (40, 1), (2, 3), (13, 17), (31, 29), (3, 257), (199, 2
 
 
 def pipeline(model: str, device: Device, exposure: str | float = 0.0, **options) -> Pipeline:
-    """The denoiser alone; cuts are only where the test says so."""
-    return Pipeline([DenoiseUpscale(model=model, **options)], device, exposure, cuts="none")
+    """The denoiser alone, to twice the size by default; cuts are only where the test says so."""
+    return Pipeline([DenoiseUpscale(model=model, **{"scale": 2, **options})], device, exposure, cuts="none")
 
 
 @cache

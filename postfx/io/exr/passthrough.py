@@ -220,6 +220,8 @@ class Merge:
 
     def _shown(self) -> tuple[int, tuple[str, ...]]:
         """Part and names of the colour that programs show: the render's, or what Blender's own denoiser made of it."""
+        if not self._stored.channels:  # colour of parts that each hold a channel
+            return self._stored.part, ()
         names = tuple(name.replace(_NOISY, _SHOWN) for name in self._stored.channels)
         found = next((part for part, name in sorted(self._stored.renders) if name == names[0]), self._stored.part)
         return found, names if (found, names[0]) in self._stored.renders else self._stored.channels
