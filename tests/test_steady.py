@@ -105,8 +105,8 @@ def test_commands_of_a_steady_frame_are_recorded_once(
     monkeypatch.setattr(CommandBuffer, "_start", lambda self, encoder: begun.append(encoder.label)
                         or start(self, encoder))
     device = Device("cpu", threads=1)
-    again, anew = (postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model="s"), postfx.ToneMap(tag=TAGS[masked])], device, 0.5,
-                                   cuts="none") for _ in range(2))
+    again, anew = (postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model="s"), postfx.ToneMap(tag=TAGS[masked])],
+                                   device, 0.5, cuts="none") for _ in range(2))
     for what in ("passage", "find"):
         monkeypatch.setattr(anew._flow._recordings, what, lambda key: None)
     lasting = frame(1)

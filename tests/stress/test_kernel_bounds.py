@@ -110,7 +110,8 @@ def assert_near(kernel: Kernel, way: str, found: dict[str, np.ndarray], wanted: 
         assert wanted[name].dtype == (np.float64 if value.dtype == np.float32 else value.dtype)
         error = np.abs(value.astype(np.float64) - wanted[name].astype(np.float64)).max()
         largest = max(np.abs(wanted[name]).max(), white)
-        assert error <= bound(kernel, way) * largest + LEAST_STEP, f"{kernel.name}, {way}: {name} {error:.2g} of {largest:.2g}"
+        most = bound(kernel, way) * largest + LEAST_STEP
+        assert error <= most, f"{kernel.name}, {way}: {name} {error:.2g} of {largest:.2g}"
 
 
 @pytest.fixture(params=PLACES)
