@@ -6,8 +6,8 @@
 
 A checkpoint of a run holds everything that training needs to continue. One for export or --start holds only `config`,
 `weights` and `notes`. `pack` writes one for the repository, from which a training goes on (--continue).
-`mix` averages the weights of networks: on scenes of other renderers the
-mean of two trainings is often better than either.
+`mix` averages the weights of networks: on scenes of other renderers the mean of two trainings is often better than
+either.
 """
 
 from __future__ import annotations

@@ -8,8 +8,7 @@ import json
 import math
 import random
 import threading
-import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
@@ -209,9 +208,7 @@ class ClipPool:
 
         Names clips that lack guides and leaves them out: Cycles renders none.
         """
-        found = [p for folder in self.folders for p in sorted(folder.glob("[!.]*.npz"))]
-        mine = [p for p in found if p not in self.seen and self._number(p) % self.shares == self.share]
-        self.seen.update(mine)
+        mine = self._new_files()
         with ThreadPoolExecutor(8) as threads:
             clips = list(threads.map(self._load, mine))
         for path, clip in zip(mine, clips, strict=True):
@@ -219,20 +216,26 @@ class ClipPool:
                 self._add(path, clip)
         return len(self)
 
-    def watch(self, pause: float = 2.0) -> None:
-        """Load new files in a thread of its own from now on, while others draw from the pool."""
+    def watch(self, pause: float = 2.0) -> Callable[[], None]:
+        """Load new files in a thread of its own, while others draw from the pool; returns a function that ends it."""
+        ended = threading.Event()
+
         def follow() -> None:
-            while True:
-                found = [p for folder in self.folders for p in sorted(folder.glob("[!.]*.npz"))]
-                for path in found:
-                    if path not in self.seen and self._number(path) % self.shares == self.share:
-                        self.seen.add(path)
-                        clip = self._load(path)
-                        if clip is not None:
-                            self._add(path, clip)
-                time.sleep(pause)
+            while not ended.wait(pause):
+                for path in self._new_files():
+                    clip = self._load(path)
+                    if clip is not None:
+                        self._add(path, clip)
 
         threading.Thread(target=follow, daemon=True).start()
+        return ended.set
+
+    def _new_files(self) -> list[Path]:
+        """Files of this share that were not asked for before."""
+        found = [p for folder in self.folders for p in sorted(folder.glob("[!.]*.npz"))]
+        mine = [p for p in found if p not in self.seen and self._number(p) % self.shares == self.share]
+        self.seen.update(mine)
+        return mine
 
     def _add(self, path: Path, clip: Clip) -> None:
         """Add a clip, to those of validation or of training."""

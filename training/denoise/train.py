@@ -323,8 +323,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
 
     # The loop.
     cooling = False
-    if world == 1:
-        pool.watch()
+    stop_watching = pool.watch() if world == 1 else None
     kept, recent = time.monotonic(), []
     playing = [Playback(step) for _ in range(PLAYING)]
     while (done := progress()) < 1 and step != pause:
@@ -364,6 +363,8 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
             if rank == 0:
                 keep()
             kept = time.monotonic()
+    if stop_watching:
+        stop_watching()
     if rank == 0:
         notes = keep()
         if args.log and step != pause:

@@ -316,24 +316,36 @@ def leaf_material(rng: Rng) -> bpy.types.Material:
     green = np.array([rng.uniform(0.02, 0.3), rng.uniform(0.1, 0.4), rng.uniform(0.01, 0.08)])
     shader.inputs["Base Color"].default_value = (*green, 1)
     shader.inputs["Roughness"].default_value = rng.uniform(0.3, 0.7)
-    tree = made.node_tree
+    let_light_through(made.node_tree, shader, np.minimum(green * 1.6, 1), rng.uniform(0.1, 0.5))
+    return made
+
+
+def let_light_through(tree: bpy.types.NodeTree, shader: bpy.types.Node, colour: np.ndarray, share: float) -> None:
+    """Replace a ``share`` of a surface by one that scatters light to its other side, in this ``colour``."""
     through, mix = tree.nodes.new("ShaderNodeBsdfTranslucent"), tree.nodes.new("ShaderNodeMixShader")
-    through.inputs["Color"].default_value = (*np.minimum(green * 1.6, 1), 1)
-    mix.inputs[0].default_value = rng.uniform(0.1, 0.5)
+    through.inputs["Color"].default_value = (*colour, 1)
+    mix.inputs[0].default_value = share
     out = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
     tree.links.new(shader.outputs[0], mix.inputs[1])
     tree.links.new(through.outputs[0], mix.inputs[2])
     tree.links.new(mix.outputs[0], out.inputs["Surface"])
-    return made
 
 
-def volume_material(rng: Rng, density: float, wisps: float = 0.0) -> bpy.types.Material:
-    """Fog or smoke of a ``density`` a metre; uneven where there are ``wisps``, features a metre."""
-    made = bpy.data.materials.new("volume")
+def empty_volume(name: str) -> tuple[bpy.types.Material, bpy.types.Node]:
+    """A material without a surface, and the node of its volume."""
+    made = bpy.data.materials.new(name)
     made.use_nodes = True
     tree = made.node_tree
     tree.nodes.clear()
     shade, out = tree.nodes.new("ShaderNodeVolumePrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(shade.outputs[0], out.inputs["Volume"])
+    return made, shade
+
+
+def volume_material(rng: Rng, density: float, wisps: float = 0.0) -> bpy.types.Material:
+    """Fog or smoke of a ``density`` a metre; uneven where there are ``wisps``, features a metre."""
+    made, shade = empty_volume("volume")
+    tree = made.node_tree
     white = rng.uniform(0.6, 0.98)
     shade.inputs["Color"].default_value = (*np.clip(white + rng.normal(0, 0.03, 3), 0, 1), 1)
     shade.inputs["Density"].default_value = density
@@ -347,17 +359,13 @@ def volume_material(rng: Rng, density: float, wisps: float = 0.0) -> bpy.types.M
         tree.links.new(at.outputs["Object"], noise.inputs["Vector"])
         tree.links.new(noise.outputs[0], spread.inputs[0])
         tree.links.new(spread.outputs[0], shade.inputs["Density"])
-    tree.links.new(shade.outputs[0], out.inputs["Volume"])
     return made
 
 
 def smoke_material(rng: Rng, half: np.ndarray, density: float, heat: float, frames: int) -> bpy.types.Material:
     """Smoke that rises and changes in a box of sides 2 ``half``; it glows by ``heat`` where it is thick."""
-    made = bpy.data.materials.new("smoke")
-    made.use_nodes = True
+    made, shade = empty_volume("smoke")
     tree = made.node_tree
-    tree.nodes.clear()
-    shade, out = tree.nodes.new("ShaderNodeVolumePrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
     dark = rng.uniform(0.02, 0.95)
     shade.inputs["Color"].default_value = (dark, dark, dark, 1)
     shade.inputs["Anisotropy"].default_value = rng.uniform(-0.1, 0.6)
@@ -398,7 +406,6 @@ def smoke_material(rng: Rng, half: np.ndarray, density: float, heat: float, fram
         tree.links.new(both.outputs[0], hot.inputs[0])
         tree.links.new(hot.outputs[0], shade.inputs["Emission Strength"])
         shade.inputs["Emission Color"].default_value = (1, rng.uniform(0.2, 0.5), rng.uniform(0.01, 0.1), 1)
-    tree.links.new(shade.outputs[0], out.inputs["Volume"])
     return made
 
 
@@ -423,14 +430,8 @@ def thin_material(rng: Rng) -> bpy.types.Material:
     shader.inputs["Roughness"].default_value = rng.uniform(0.6, 1)
     if rng.random() < 0.6:
         paint(made.node_tree, shader, tuple(base), rng)
-    tree = made.node_tree
-    through, mix = tree.nodes.new("ShaderNodeBsdfTranslucent"), tree.nodes.new("ShaderNodeMixShader")
-    through.inputs["Color"].default_value = (*np.clip(base * rng.uniform(0.6, 1.1), 0, 1), 1)
-    mix.inputs[0].default_value = rng.uniform(0.2, 0.7)
-    out = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
-    tree.links.new(shader.outputs[0], mix.inputs[1])
-    tree.links.new(through.outputs[0], mix.inputs[2])
-    tree.links.new(mix.outputs[0], out.inputs["Surface"])
+    other_side = np.clip(base * rng.uniform(0.6, 1.1), 0, 1)
+    let_light_through(made.node_tree, shader, other_side, rng.uniform(0.2, 0.7))
     return made
 
 
