@@ -15,12 +15,14 @@ from torch import nn
 
 from postfx.kernels.denoise import FINE, GUIDES, HIDDEN, KERNEL, PHASES
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
-from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
+from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
     OPEN,
+    OPEN_ERROR,
     OPEN_FINE,
     OPEN_FINE_PRODUCTS,
+    OPEN_LOGITS,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     PACK,
@@ -69,6 +71,7 @@ KERNELS = {
     HISTORY: kernels.History,
     FEATURE: kernels.Features,
     GUIDE: kernels.GuideFeatures,
+    MIRROR: kernels.MirroredFeatures,
     TRUST: kernels.Trust,
     MEANS: kernels.Means,
     ACCUMULATE: kernels.Accumulate,
@@ -111,6 +114,8 @@ KERNELS = {
     OPEN: kernels.Open,
     OPEN_FINE: kernels.OpenFine,
     OPEN_PHASED: kernels.OpenPhased,
+    OPEN_LOGITS: kernels.OpenLogits,
+    OPEN_ERROR: kernels.OpenError,
     OPEN_PRODUCTS: kernels.OpenProducts,
     OPEN_FINE_PRODUCTS: kernels.OpenFineProducts,
     STORE: kernels.Store,
