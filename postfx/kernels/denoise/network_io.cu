@@ -63,14 +63,15 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_phased(View phase
     }
 }
 
-// Activations of a fine head at the render size; both may be the same memory.
+// Activations of a fine head at the render size.
 extern "C" __global__ void __launch_bounds__(256) denoise_open_logits(View logits, View fine) {
     PIXEL(fine.size[3], fine.size[2]);
     const size_t plane = size_t(fine.size[2]) * fine.size[3], at = size_t(y) * fine.size[3] + x;
+    const float* const from = logits.at + at;
+    float* const to = fine.at + at;
     for (int channel = 0; channel < FINE; channel++) {
-        const float logit = clamped(logits.at[channel * plane + at], -STEEPEST, STEEPEST);
-        fine.at[channel * plane + at] =
-            channel < BLEND ? weight_of(logit) : channel < MEMORY ? gate_of(logit) : tanhf(logit);
+        const float logit = clamped(from[channel * plane], -STEEPEST, STEEPEST);
+        to[channel * plane] = channel < BLEND ? weight_of(logit) : channel < MEMORY ? gate_of(logit) : tanhf(logit);
     }
 }
 

@@ -11,8 +11,7 @@ wp / 2) is the output of the last convolution: for each channel the four phases 
 takes less time than activations and a shuffle inside the network, each of which reads and writes 160 MB at 960x540.
 
 Where a network's last level has the render size, ``fine_logits`` (1, 80, hp, wp) are its fine head before the
-activations, in the memory of ``fine``, and ``log_error`` (1, 1, hp, wp) is the logarithm of each pixel's expected
-squared error.
+activations, and ``log_error`` (1, 1, hp, wp) is the logarithm of each pixel's expected squared error.
 
 Integers, output: the last products are summed in 32 bits and scaled here. ``products`` are sums of 8-bit products;
 ``scaling`` (2, C) holds a factor and an offset for each channel, which give its logit. Scaling and activations are one
