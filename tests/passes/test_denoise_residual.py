@@ -6,13 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MemoryBudgetError, PassOptionError
 from postfx.frame import Frame, Role
+from postfx.io.sequence import read_sequence
 from postfx.passes.denoise import DenoiseUpscale, models
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from tests.cli.conftest import noise  # noqa: F401
 from tests.passes.denoise_frames import noisy
 from tests.passes.test_denoise_strength import masked
 
@@ -165,6 +168,42 @@ def test_networks_that_do_not_predict_their_error_say_so(small_models: Path, dev
 
 def test_a_budget_takes_only_networks_that_predict_their_error(small_models: Path, device: Device) -> None:
     assert chain(device, budget=1000)(seen(1, 32, 48))[Role.ERROR].all()
+
+
+def run_with_error(postfx, folder: Path, *options: str, output: str = "out/a.####.exr"):
+    return postfx("run", "in/shot.####.exr", "--model", str(folder / "denoise_upscale.residual.onnx"), "--run-up", "0",
+                  "--aov", "error", "-o", output, *options)
+
+
+@pytest.mark.usefixtures("noise")
+@pytest.mark.parametrize("options", [(), ("--keep", "all"), ("--tonemap", "aces2"), ("--scale", "1.5"),
+                                     ("--both-ways",)])
+def test_the_command_writes_it_beside_the_picture(options, postfx, tmp_path: Path, exported_models: Path) -> None:
+    done = run_with_error(postfx, exported_models, *options, "--exposure", "0", "--frames", "1-2")
+    assert done.code == 0, done.err
+    picture = oiio.ImageBuf(str(tmp_path / "out/a.0002.exr"))
+    names, pixels = picture.spec().channelnames, picture.get_pixels(oiio.FLOAT)
+    found = pixels[..., names.index("error.V")]
+    scale = 1.5 if "--scale" in options else 1
+    frames = list(read_sequence(str(tmp_path / "in/shot.####.exr"), "1-2"))
+    denoise = DenoiseUpscale(model=str(exported_models / "denoise_upscale.residual.onnx"), scale=scale, error=True)
+    library = Pipeline([denoise], Device("cpu", threads=2), exposure=0.0)
+    wanted = [library(frame)[Role.ERROR] for frame in frames][-1]
+    np.testing.assert_allclose(found, wanted[..., 0], rtol=2e-3)
+
+
+@pytest.mark.usefixtures("noise")
+def test_a_picture_for_a_display_holds_none(postfx, exported_models: Path) -> None:
+    done = run_with_error(postfx, exported_models, output="out/a.####.png")
+    assert done.code and done.err.strip() == (
+        "error: out/a.####.png: pictures for a display hold no plane 'error': write EXR, or leave error out of --aov")
+
+
+@pytest.mark.usefixtures("noise")
+def test_the_command_names_a_network_that_predicts_none(postfx) -> None:
+    done = postfx("run", "in/shot.####.exr", "--model", "s", "--aov", "error", "-o", "out/a.####.exr")
+    assert done.code and done.err.startswith("error: model 's' does not predict its error at this size")
+    assert done.err.count("\n") == 1
 
 
 def test_the_halo_of_a_card_comes_before_that_of_the_name(small_models: Path) -> None:
