@@ -100,10 +100,14 @@ class Job:
         denoising = None if arguments.no_denoise else self._values("denoiser")
         covered = asked_form() == "whole"  # by a checkerboard, under which nothing is denoised
         both_ways = arguments.both_ways and arguments.strength != 0 and not covered
+        backwards = {**self._values("denoiser"), "error": False}  # which that of the last run tells
         self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
-                                    **self._values("denoiser")) if both_ways else None
+                                    **backwards) if both_ways else None
         self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         is_picture = self.outputs is not None and self.outputs.display
+        if is_picture and denoising and denoising.get("error"):
+            raise OptionError(f"{arguments.output}: pictures for a display hold no plane 'error': write EXR, or leave "
+                              "error out of --aov")
         native = not is_shown(is_picture, **self._values("look"))  # before any file is opened, which tells of it
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)

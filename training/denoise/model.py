@@ -366,9 +366,13 @@ def features_of(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor
 def mirrored_features(inputs: Inputs) -> Tensor:
     """The planes that follow mirrors and glass, (N, 6, h, w): 0 where a file lacks them."""
     none = torch.zeros_like(inputs.normal)
-    albedo = none if inputs.denoising_albedo is None else ops.sanitise(inputs.denoising_albedo, 0, 1)
-    normal = none if inputs.denoising_normal is None else ops.sanitise(inputs.denoising_normal, -1, 1)
-    return torch.cat((albedo, normal), 1)
+    return mirrored_planes(none if inputs.denoising_albedo is None else inputs.denoising_albedo,
+                           none if inputs.denoising_normal is None else inputs.denoising_normal)
+
+
+def mirrored_planes(albedo: Tensor, normal: Tensor) -> Tensor:
+    """The trunk's channels of these planes, without what no such plane holds."""
+    return torch.cat((ops.sanitise(albedo, 0, 1), ops.sanitise(normal, -1, 1)), 1)
 
 
 def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:

@@ -20,14 +20,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise import FEATURES, FINE, KERNEL, MIX, SHARPEN
-from training.denoise.model import LEVELS, NO_SHARPENING, activate_fine, filters
+from postfx.kernels.denoise import FEATURES, FINE, KERNEL, MIRRORED, MIX, SHARPEN
+from training.denoise.model import LEVELS, NO_SHARPENING, TrunkConfig, activate_fine, filters
 
 BRANCH = 0.2  # of the usual first weights of what a block adds
 STEEPEST = 8.0  # logits stay within this
 LEAST_SQUARE = 1e-6  # added to a mean square before its root
 HEAD_STD = 0.01  # of the heads' first weights: filters start nearly even
-MIRRORED = 6  # channels of the planes that follow mirrors and glass
 USUAL_ERROR = -6.0  # logarithm of a squared error in code values: 26 dB
 LEAST_ERROR = -14.0
 MOST_ERROR = 0.0
@@ -57,6 +56,12 @@ class ResidualConfig:
     def align(self) -> int:
         """Height and width of the network's input are multiples of this."""
         return 2 ** LEVELS
+
+    @property
+    def reach(self) -> int:
+        """Pixels of the render size that the network sees around each."""
+        counts = (down + up for down, up in zip(self.down, (*self.up, 0), strict=True))
+        return 1 + sum(2 * count << level for level, count in enumerate(counts))
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -153,14 +158,27 @@ class ResidualTrunk(nn.Module):
         for level, stack in enumerate(self.down):
             x = stack(self.shrink[level - 1](x) if level else x)
             skips.append(x)
-        levels = [filters(bound(self.heads[-1](normalise(x))))]
+        levels = [self.level_head(self.heads[-1], x)]
         for level in reversed(range(LEVELS)):
             lifted = F.interpolate(self.lift[level](x), scale_factor=2.0, mode="nearest")
             x = self.up[level](skips[level] + lifted)
             if level:
-                levels.insert(0, filters(bound(self.heads[level - 1](normalise(x)))))
-        stream = normalise(x)
+                levels.insert(0, self.level_head(self.heads[level - 1], x))
+        return self.all_heads(normalise(x), levels)
+
+    def level_head(self, head: nn.Conv2d, stream: Tensor) -> Tensor:
+        """A coarser level's kernel and mix."""
+        return filters(bound(head(normalise(stream))))
+
+    def all_heads(self, stream: Tensor, levels: list[Tensor]) -> tuple[Tensor, ...]:
+        """The finest level's heads from its normalised stream, and those of the others."""
         fine = activate_fine(bound(self.fine(stream)))
         if self.error is None:
             return fine, *levels
         return fine, *levels, self.error(stream).float().clamp(LEAST_ERROR, MOST_ERROR)
+
+
+def layout_from(config: dict[str, Any]) -> TrunkConfig | ResidualConfig:
+    """The layout that a checkpoint's config tells."""
+    kind = ResidualConfig if "down" in config else TrunkConfig
+    return kind.from_dict(config)

@@ -28,6 +28,8 @@ from postfx.kernels.denoise import (
     MAX_COUNT,
     MAX_DEPTH,
     MAX_FLOAT,
+    MIRRORED,
+    MIRRORED_PLANES,
     NEAREST,
     OUT_HEIGHT,
     OUT_LEFT,
@@ -379,6 +381,27 @@ STORED_FEATURE = Kernel(
     {name: shape for name, shape in FEATURE.shapes.items() if name != "features"}
     | {"coding": (2, "wide"), "stored": (1, "stored_h", "stored_w", "wide")}, {"stored": "uint8"})
 """Features in 8 bits, with a border or without."""
+
+
+@compiled
+def mirrored_rows(y0: int, y1: int, denoising_albedo: np.ndarray, denoising_normal: np.ndarray, window: np.ndarray,
+                  seen_rows: np.ndarray, seen_columns: np.ndarray, mirrored: np.ndarray) -> None:
+    """Planes of what mirrors and glass show, as planes: albedo 0, normal 3. The torch definition is
+    ``training.denoise.model.mirrored_features``."""
+    first, count = int(window[LEFT]), min(seen_columns.size, int(window[WIDTH]) - int(window[LEFT]))
+    for row in range(y0, y1):
+        y, end = int(window[TOP]) + int(seen_rows[row]), first + count
+        bounded_row(denoising_albedo[y, first:end], ZERO, ONE, mirrored[0, 0, row], mirrored[0, 1, row],
+                    mirrored[0, 2, row])
+        bounded_row(denoising_normal[y, first:end], -ONE, ONE, mirrored[0, 3, row], mirrored[0, 4, row],
+                    mirrored[0, 5, row])
+        for c in range(MIRRORED):
+            for x in range(count, seen_columns.size):
+                mirrored[0, c, row, x] = mirrored[0, c, row, int(seen_columns[x])]
+
+
+MIRROR = kernel("mirrored", (*MIRRORED_PLANES, "window", "seen_rows", "seen_columns"), ("mirrored",), mirrored_rows,
+                ("mirrored", 2))
 
 
 # Guides: planes at output size, where the network predicts its filters. Channels of ``guides``, for the corners of a
