@@ -41,6 +41,7 @@ from postfx.passes.denoise.options import Size, output_size, parse_reactive, val
 from postfx.passes.denoise.parts import checked_parts
 from postfx.passes.denoise.planes import ABSENT, MIRRORED, passthrough_roles
 from postfx.passes.denoise.tiling import Sizes, active_cells
+from postfx.repeats import ONE_SEED, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
 PLANES = tuple(ABSENT)
@@ -56,6 +57,8 @@ LARGEST = "l"
 """Tag of the largest network that comes with postfx."""
 WIDER = "wider primaries"
 """In a history, whether its light is in wider primaries than the frames'."""
+REPEATS = "repeats "
+"""In a history, names of what noise that repeats is found by begin so."""
 
 
 class DenoiseUpscale(Pass):
@@ -97,7 +100,8 @@ class DenoiseUpscale(Pass):
     to the pass `both_ways`, and the plane `partner`, resampled, to the pass `mix_partner`.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. At render
-    size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone.
+    size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone, and so does one
+    whose noise is that of the frame before, as with one seed for all: a history would take the noise for detail.
 
     Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0 to 1, a budget that
     is not above 0, a model that is chosen automatically and an error that no network predicts, FrameError for a frame
@@ -127,7 +131,9 @@ class DenoiseUpscale(Pass):
                                   f"{' or '.join(PART_FILTERS)}")
         self._own = [part.name for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
         self._used: str | None = None
-        self._cameras = Cameras()
+        self._cameras, self._repeats = Cameras(), RepeatDetector()
+        self._notice: str | None = None
+        self._has_told = False
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
         asked = validate_tag(str(model), own)
         self._tag = CLASSIC if self._falls_back(asked) else asked
@@ -251,16 +257,22 @@ class DenoiseUpscale(Pass):
     def choice(self) -> str | None:
         return self._used if self.budget else None
 
+    def notice(self) -> str | None:
+        told, self._notice = self._notice, None
+        return told
+
     def reset(self) -> None:
         self._fresh = self._wider = False
         self._exposure = 1.0
         self._cameras.reset()
+        self._repeats.reset()
 
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._fresh):
             return {}
         known = {"exposure": np.array(self._exposure, np.float64), f"{NETWORK}{self._used}": np.array(1, np.int64),
                  WIDER: np.array(self._wider, np.int64)}
+        known |= {f"{REPEATS}{name}": array for name, array in self._repeats.history().items()}
         return known | self._cameras.snapshot() | self._history.snapshot() | self._part_history.snapshot()
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
@@ -274,6 +286,8 @@ class DenoiseUpscale(Pass):
             self._history.recall(history)
             self._part_history.recall(history)
             self._cameras.recall(history)
+            self._repeats.recall({name.removeprefix(REPEATS): array for name, array in history.items()
+                                  if name.startswith(REPEATS)})
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -308,14 +322,16 @@ class DenoiseUpscale(Pass):
                 ready.layers.resample(commands, frame, plain)
             return plain
         band = None if cells is None else ready.frames.layout(cells)
-        keep = self._fresh and not frame.reset and Role.MOTION in frame
+        repeats = self._is_repeated(frame)
+        keep = self._fresh and not (frame.reset or repeats) and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
         self._widen(commands, frame, ready, keep)
         params = np.array([frame.exposure, *frame.jitter, gain], np.float32)
         self._used = self._tags[self._ladder.rung if self._ladder else 0]
         ready.frames.use(ready.models[self._used])
         still = keep and gain == 1 and self._is_still(frame)
-        savings.begin(1.0 if band is None else band.share, keep, still)
+        savings.begin(1.0 if band is None else band.share, keep or repeats, still)
+        savings.note_repeats(repeats)
         blanks = ready.models[self._used] in ready.blanking
         planes: Mapping[str, Tensor] = ready.planes.encode(commands, frame, blanks)
         savings.note_planes(ready.planes.hazy)
@@ -361,6 +377,20 @@ class DenoiseUpscale(Pass):
         if Role.STRENGTH not in frame.host_planes or (restore and restore.acts_on(frame)):
             return None
         return active_cells(frame.host_planes[Role.STRENGTH])
+
+    def _is_repeated(self, frame: ResidentFrame) -> bool:
+        """Whether a frame's noise is that of the frame before. Not looked for where frames come on a GPU."""
+        planes = frame.host_planes
+        if frame.is_away or not {Role.COLOUR, Role.MOTION} <= planes.keys():
+            return False
+        if frame.reset:
+            self._repeats.reset()
+        repeats = self._repeats(planes) and self._fresh
+        if repeats and not self._has_told:
+            cause, fix = ONE_SEED
+            self._notice = f"its noise is that of the frame next to it, so it is denoised alone; likely: {cause}; fix: {fix}"
+            self._has_told = True
+        return repeats
 
     def _is_still(self, frame: ResidentFrame) -> bool:
         return frame.is_blank(Role.MOTION)
@@ -451,7 +481,7 @@ class Savings:
 
     def __init__(self) -> None:
         self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind()}
-        self._alone = self._still = self._resized = self._known = self._full = self._hazy = 0
+        self._alone = self._still = self._resized = self._known = self._full = self._hazy = self._repeats = 0
         self._now = "whole"
         self._unfollowed: Counter[str] = Counter()
 
@@ -471,6 +501,10 @@ class Savings:
     def note_planes(self, hazy: bool) -> None:
         """`hazy`: this frame's depth and albedo are left out."""
         self._hazy += hazy
+
+    def note_repeats(self, repeats: bool) -> None:
+        """`repeats`: this frame's history is left out, as its noise is the same."""
+        self._repeats += repeats
 
     def note_resize(self, known: bool) -> None:
         """The next frame has another size; `known`: whether it is already prepared."""
@@ -501,6 +535,8 @@ class Savings:
             found.append((f"blend with the input for {_count(self._full)}", "strength is 1 everywhere"))
         if self._alone:
             found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion plane"))
+        if self._repeats:
+            found.append((f"history for {_count(self._repeats)}", "noise is that of the frame before"))
         if self._still:
             found.append((f"reprojection of the last output for {_count(self._still)}", "nothing moves"))
         if self._hazy:
