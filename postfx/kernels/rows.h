@@ -124,6 +124,7 @@ template <class Pixels> FN void across(Long first, Long last, const Pixels& pixe
         for (Long x = first; x < last; x++) pixels(float(), x);
         return;
     }
-    for (Long x = first; x < last - WIDE; x += WIDE) pixels(Wide(), x);
-    pixels(Wide(), last - WIDE);
+    for (Long x = first; x < last; x += WIDE) {
+        pixels(Wide(), x <= last - WIDE ? x : last - WIDE);  // called in one place: compiled once
+    }
 }

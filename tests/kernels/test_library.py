@@ -198,10 +198,11 @@ def test_it_is_compiled_again_when_it_changes_or_is_damaged(plug_in: Path) -> No
     folder = plug_in.parent / "cache"
     assert scaled(plug_in)[1, 1] == 42
     first = {path: path.stat().st_mtime_ns for path in folder.glob("*-*.*")}
+    assert len(first) == 1  # this processor's level alone
     scaled(plug_in)
     assert {path: path.stat().st_mtime_ns for path in folder.glob("*-*.*")} == first
     for damage in (lambda path: path.write_bytes(path.read_bytes()[:100]), Path.unlink):
-        for path in [*folder.glob("*-*.*")][:2]:
+        for path in first:
             copy = path.read_bytes()
             path.unlink()  # the process has it open
             path.write_bytes(copy)
@@ -224,6 +225,33 @@ def test_several_processes_at_once_compile_it_once(plug_in: Path) -> None:
     assert len([*folder.glob("*.json")]) == 1
     assert len([*folder.glob("*-*.*")]) == len(build.TARGETS[build.this_target()].levels)
     assert scaled(plug_in)[1, 1] == 42
+
+
+@needs_compiler
+def test_a_change_compiles_the_files_that_it_touches(tmp_path: Path) -> None:
+    """A header of one file; the other's object is taken as it is."""
+    one, other = tmp_path / "one.cpp", tmp_path / "other.cpp"
+    one.write_text('#include "own.h"\n' + HEADER)
+    (tmp_path / "own.h").write_text("enum { OWN = 1 };\n")
+    other.write_text(HEADER.replace("scale", "others"))
+    target, folder = build.this_target(), tmp_path / "made"
+    lowest = next(iter(build.TARGETS[target].levels))
+
+    def objects() -> set[str]:
+        assert set(build.build([one, other], target, folder, [lowest])) == {lowest}
+        return {path.name for path in folder.glob("objects/*.o")}
+
+    first = objects()
+    assert len(first) == 2
+    (tmp_path / "own.h").write_text("enum { OWN = 2 };\n")
+    second = objects()
+    assert len(second) == 3 and first < second
+    assert {name.split("-")[1] for name in second - first} == {"one"}
+    for path in folder.glob("objects/*.o"):
+        path.write_bytes(b"")
+    for index in folder.glob("*.json"):
+        index.unlink()
+    assert len(objects()) == 3  # damaged ones are made anew
 
 
 def test_without_a_compiler_there_is_one_line_with_the_fix(plug_in: Path, monkeypatch: pytest.MonkeyPatch) -> None:
