@@ -5,8 +5,9 @@
 // never put into another order: so AVX2, AVX-512, arm64 and Windows give the same bits.
 //
 // NaN and infinity. A comparison with NaN is false, and larger() and smaller() then give their
-// second argument. What may be NaN comes first: larger(x, limit) holds it within bounds. Everything
-// else carries NaN and infinity on, into the pixels that are made of them and into no others.
+// second argument. So within() makes the low bound of NaN, and bounded() leaves it. Everything else
+// carries NaN and infinity on, into the pixels that are made of them and into no others. The functions
+// at the end take numbers within the bounds that they name; beyond them, only NaN stays what it is.
 #pragma once
 
 typedef long long Long;
@@ -167,6 +168,9 @@ template <class F> FN F larger(F x, F other) { return x > other ? x : other; }
 template <class F> FN F smaller(F x, F other) { return x < other ? x : other; }
 template <class F> FN F within(F x, float low, float high) {
     return smaller<F>(larger<F>(x, F(low)), F(high));
+}
+template <class F> FN F bounded(F x, float low, float high) {
+    return smaller<F>(F(high), larger<F>(F(low), x));
 }
 FN int clip(Long x, Long size) { return int(x < 0 ? 0 : x >= size ? size - 1 : x); }
 
