@@ -83,7 +83,7 @@ ROOMS = (
     *_kernels("history", 5, "denoise_history", "denoise_resize", "denoise_reactive", "denoise_spread", "denoise_keep",
               "denoise_reflections", "error_of_reflections", also="tests/passes/test_denoise_reflections.py"),
     *_kernels("upsample", 3, "denoise_upsample"),
-    *_kernels("parts", 3, "denoise_accumulate_part", "denoise_reflectance", "denoise_upsample_light", "denoise_balance",
+    *_kernels("parts", 1, "denoise_accumulate_part", "denoise_reflectance", "denoise_upsample_light", "denoise_balance",
               "denoise_decode"),
     _room("kernels/neural.py", 2, "neural"),
     _room("kernels/common.cuh", 0, "kernels/test_cuda_kernels.py", "-k 'denoise_history or denoise_upsample_light'"),

@@ -46,11 +46,14 @@ FN int whole(float x) { return int(x); }
 FN float number(int x) { return float(x); }
 FN float floor_of(float x) { return __builtin_floorf(x); }
 
+FN float root_of(float x) { return __builtin_sqrtf(x); }
+
 FN WideInt bits(Wide x) { return __builtin_bit_cast(WideInt, x); }
 FN Wide from_bits(WideInt x) { return __builtin_bit_cast(Wide, x); }
 FN WideInt whole(Wide x) { return __builtin_convertvector(x, WideInt); }
 FN Wide number(WideInt x) { return __builtin_convertvector(x, Wide); }
 FN Wide floor_of(Wide x) { return __builtin_elementwise_floor(x); }
+FN Wide root_of(Wide x) { return __builtin_elementwise_sqrt(x); }
 
 // Memory: numbers beside one another, every STEP-th of them, and each of them twice.
 
@@ -172,6 +175,7 @@ template <class F> FN F within(F x, float low, float high) {
 template <class F> FN F bounded(F x, float low, float high) {
     return smaller<F>(F(high), larger<F>(F(low), x));
 }
+template <class F> FN F known(F x) { return x == x ? x : F(0.0f); }
 FN int clip(Long x, Long size) { return int(x < 0 ? 0 : x >= size ? size - 1 : x); }
 
 template <class F> FN typename Of<F>::Int load_int(const int* at) {

@@ -31,6 +31,8 @@ template <class T, int AXES> struct View {
     }
 };
 
+typedef View<const float, 1> Places;  // rows or columns of a picture
+
 // A small array of numbers that have names.
 template <class T> struct Given {
     const T* at;

@@ -4,6 +4,7 @@
 constexpr float TINY = 1e-8f;
 constexpr float STEEPEST = 8.0f;
 constexpr float MAX_COLOUR = 1e4f;
+constexpr float MAX_FLOAT = 3e38f;
 constexpr float MOST_LOG = 20.0f;
 constexpr float MOST_REFLECTANCE = 4.0f;
 constexpr float EMITTER = 0.005f;
@@ -15,5 +16,7 @@ constexpr int TAP_WEIGHTS = KERNEL;
 constexpr int BLEND = 61;
 constexpr int SHARPEN = 65;
 constexpr int MIX = 69;
+constexpr int DISTRUST = 70;
+constexpr int IMPORTANCE = 71;
 constexpr int MEMORY = 72;
 constexpr int FINE = 80;
