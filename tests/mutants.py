@@ -72,7 +72,7 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 
 ROOMS = (
-    *_kernels("features", 5, "denoise_features", "denoise_guides", "denoise_trust", "denoise_upsample_guided"),
+    *_kernels("features", 1, "denoise_features", "denoise_guides", "denoise_trust", "denoise_upsample_guided"),
     *_kernels("pyramid", 3, "denoise_pool", "denoise_mix", "denoise_filter", "denoise_remodulate",
               "denoise_alpha_level", "denoise_enlarge_alpha"),
     *_kernels("prepare", 3, "denoise_scale", "denoise_dilate", "denoise_means", "denoise_accumulate"),

@@ -46,6 +46,7 @@ FN int whole(float x) { return int(x); }
 FN float number(int x) { return float(x); }
 FN float floor_of(float x) { return __builtin_floorf(x); }
 
+FN float nearest_of(float x) { return __builtin_rintf(x); }
 FN float root_of(float x) { return __builtin_sqrtf(x); }
 
 FN WideInt bits(Wide x) { return __builtin_bit_cast(WideInt, x); }
@@ -53,6 +54,7 @@ FN Wide from_bits(WideInt x) { return __builtin_bit_cast(Wide, x); }
 FN WideInt whole(Wide x) { return __builtin_convertvector(x, WideInt); }
 FN Wide number(WideInt x) { return __builtin_convertvector(x, Wide); }
 FN Wide floor_of(Wide x) { return __builtin_elementwise_floor(x); }
+FN Wide nearest_of(Wide x) { return __builtin_elementwise_rint(x); }
 FN Wide root_of(Wide x) { return __builtin_elementwise_sqrt(x); }
 
 // Memory: numbers beside one another, every STEP-th of them, and each of them twice.

@@ -130,3 +130,10 @@ template <class Pixels> FN void across(Long first, Long last, const Pixels& pixe
         pixels(Wide(), x <= last - WIDE ? x : last - WIDE);  // called in one place: compiled once
     }
 }
+
+// The same with each pixel made once, for those that are changed in place.
+template <class Pixels> FN void across_once(Long first, Long last, const Pixels& pixels) {
+    Long x = first;
+    for (; x + WIDE <= last; x += WIDE) pixels(Wide(), x);
+    for (; x < last; x++) pixels(float(), x);
+}
