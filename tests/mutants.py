@@ -75,7 +75,7 @@ ROOMS = (
     *_kernels("features", 1, "denoise_features", "denoise_guides", "denoise_trust", "denoise_upsample_guided"),
     *_kernels("pyramid", 3, "denoise_pool", "denoise_mix", "denoise_filter", "denoise_remodulate",
               "denoise_alpha_level", "denoise_enlarge_alpha"),
-    *_kernels("prepare", 3, "denoise_scale", "denoise_dilate", "denoise_means", "denoise_accumulate"),
+    *_kernels("prepare", 1, "denoise_scale", "denoise_dilate", "denoise_means", "denoise_accumulate"),
     *_kernels("network_io", 2, "denoise_pack", "denoise_open", "denoise_store", "stored"),
     *_kernels("output", 3, "denoise_judge", "denoise_detail", "denoise_restore", "detail_is_told", "denoise_assemble",
               "denoise_strength"),

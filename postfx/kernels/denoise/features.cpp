@@ -3,11 +3,11 @@
 // valid history 21, sample count 22, jitter 23, length of motion 25, inverse scale 26, hidden state 27.
 #include "features.h"
 #include "store.h"
+#include "tints.h"
 #include "../rows.h"
 
 typedef View<const float, 3> Picture;
 typedef View<float, 3> NewPicture;
-typedef float Four __attribute__((ext_vector_type(4)));
 typedef float Eight __attribute__((ext_vector_type(8)));
 
 template <class Vector> FN Vector load_many(const float* at) {
@@ -364,18 +364,6 @@ struct TrustRooms {
     int* left() const { return ints.at; }
     int* touched() const { return ints.at + count; }
 };
-
-FN void fill_tints(const float* some, const float* others, Long count, float* red, float* green, float* blue) {
-    across(0, count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
-        const float *a = some + 3 * x, *b = others + 3 * x;
-        const Tint<F> found = tinted<F>(pick<F, 3>(a) + pick<F, 3>(b), pick<F, 3>(a + 1) + pick<F, 3>(b + 1),
-                                        pick<F, 3>(a + 2) + pick<F, 3>(b + 2));
-        store<F>(red + x, found.red);
-        store<F>(green + x, found.green);
-        store<F>(blue + x, found.blue);
-    });
-}
 
 // Adds what a row of guides differs by in each render pixel.
 FN void add_guides(const TrustRooms& rooms, int most) {

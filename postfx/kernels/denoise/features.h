@@ -2,13 +2,9 @@
 #pragma once
 #include "window.h"
 
-constexpr int STATE = 12;
-constexpr int HIDDEN = 8;
 constexpr int FEATURES = 27 + HIDDEN;
 constexpr int PLANAR = FEATURES - HIDDEN;
-constexpr float MAX_COUNT = 32.0f;
 constexpr float MAX_DEPTH = 1e10f;
-constexpr float NEAREST = 1e-6f;
 constexpr float UNKNOWN = 1e-3f;  // share of a reprojected pixel that the history may lack
 constexpr float DOUBT = 0.7f;
 constexpr float FAINT = 1e-4f;

@@ -28,11 +28,11 @@ from postfx.kernels.denoise import (
     FARTHEST,
     MAX_COLOUR,
     MAX_FLOAT,
+    MOST_MOTION,
     NEAREST,
     STATE,
     kernel,
 )
-from postfx.kernels.denoise.prepare import finite
 from postfx.kernels.numeric import (
     Real,
     clamp,
@@ -41,6 +41,12 @@ from postfx.kernels.numeric import (
 )
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
+
+
+@inline
+def finite(value: Real) -> Real:
+    """Motion of a pixel; impossible values (NaN, infinity) become 0."""
+    return value if -MOST_MOTION < value < MOST_MOTION else ZERO
 
 
 @compiled

@@ -1,5 +1,6 @@
 // Rows of the picture's parts, such as light groups: they get the picture's weights and filters.
 #include "parts.h"
+#include "tints.h"
 #include "upsample_rows.h"
 #include "warp.h"
 
@@ -14,9 +15,7 @@ static void reflectance_rows(Long first, Long last, Picture diffuse, Picture spe
         float* out = factor(y);
         across(0, held, PIXELS(auto one, Long x) {
             typedef decltype(one) F;
-            const float *a = some + 3 * x, *b = others + 3 * x;
-            const Tint<F> found = tinted<F>(pick<F, 3>(a) + pick<F, 3>(b), pick<F, 3>(a + 1) + pick<F, 3>(b + 1),
-                                            pick<F, 3>(a + 2) + pick<F, 3>(b + 2));
+            const Tint<F> found = tint_at<F>(some, others, x);
             store_triples<F>(out + 3 * x, found.red, found.green, found.blue);
         });
         for (Long i = 3 * held; i < 3 * w; i++) out[i] = out[i - 3];
@@ -27,7 +26,6 @@ EXPORT(denoise_reflectance, reflectance_rows)
 // Running mean.
 
 // Four numbers from a pixel on; of the last pixel there are three.
-typedef float Four __attribute__((ext_vector_type(4)));
 FN Four load_pixel(const float* at, const float* end) {
     if (at + 4 <= end) return load_many<Four>(at);
     return Four{at[0], at[1], at[2], 0.0f};

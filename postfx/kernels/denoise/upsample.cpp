@@ -2,6 +2,7 @@
 // radiance is multiplied by.
 #include "upsample_rows.h"
 #include "fine_codes.h"
+#include "tints.h"
 
 // What all six read and write.
 struct Upsample : Samples {
@@ -64,15 +65,7 @@ static void fill_trust(const Picture& cells, float place, const float* places, L
 static void fill_guides(const Guides& guides, Long y, Long left, const Rooms& rooms) {
     const Long held = smaller<Long>(rooms.width, guides.diffuse.size[1] - left);
     const float *some = guides.diffuse(y, left), *others = guides.specular(y, left);
-    across(0, held, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
-        const Tint<F> found = tinted<F>(pick<F, 3>(some + 3 * x) + pick<F, 3>(others + 3 * x),
-                                        pick<F, 3>(some + 3 * x + 1) + pick<F, 3>(others + 3 * x + 1),
-                                        pick<F, 3>(some + 3 * x + 2) + pick<F, 3>(others + 3 * x + 2));
-        store<F>(rooms.guide(0) + x, found.red);
-        store<F>(rooms.guide(1) + x, found.green);
-        store<F>(rooms.guide(2) + x, found.blue);
-    });
+    fill_tints(some, others, held, rooms.guide(0), rooms.guide(1), rooms.guide(2));
     for (int c = 0; c < 3; c++) {
         for (Long x = held; x < rooms.width; x++) rooms.guide(c)[x] = rooms.guide(c)[held - 1];
     }
