@@ -120,6 +120,11 @@ __device__ inline float encoded_now(float value, float exposure, float share) {
     return log1p_of(fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure * share, MAX_COLOUR));
 }
 
+// The same of the last output, which is log-encoded; what no frame can hold counts as the brightest.
+__device__ inline float encoded_last(float encoded, float share) {
+    return log_encode(expm1_of(fminf(fmaxf(encoded, 0.0f), MOST_LOG)) * share);
+}
+
 // The change of depth since the frame before.
 __device__ inline float depth_change(float before, float depth) {
     const float ratio = clamped(before, NEAREST, MAX_DEPTH) / fmaxf(depth, NEAREST);
@@ -155,9 +160,8 @@ __device__ inline void prepare_features(View colour, View diffuse_albedo, View s
              encoded_now(now.b, exposure, share.b)});
     put(to + 3, {log_encode(kept.r * memory.valid), log_encode(kept.g * memory.valid),
                  log_encode(kept.b * memory.valid)});
-    put(to + 6, {log_encode(expm1_of(mean.r) * memory.valid * share.r),
-                 log_encode(expm1_of(mean.g) * memory.valid * share.g),
-                 log_encode(expm1_of(mean.b) * memory.valid * share.b)});
+    put(to + 6, {encoded_last(mean.r, memory.valid * share.r), encoded_last(mean.g, memory.valid * share.g),
+                 encoded_last(mean.b, memory.valid * share.b)});
     put_bounded(to + 9, diffuse, 0.0f, 2.0f);
     put_bounded(to + 12, specular, 0.0f, 2.0f);
     put_bounded(to + 15, direction, -1.0f, 1.0f);

@@ -42,6 +42,21 @@ static void open_logits_rows(Long first, Long last, View<const float, 4> logits,
 }
 EXPORT(denoise_open_logits, open_logits_rows)
 
+// The expected squared error of a part's pixels; of one that is unknown, the largest.
+static void open_error_rows(Long first, Long last, View<const float, 4> log_error, Places, Places,
+                            View<float, 3> error) {
+    for (Long y = first; y < last; y++) {
+        const float* from = log_error(0, 0, y);
+        float* to = error(y);
+        across(0, error.size[1], PIXELS(auto one, Long x) {
+            typedef decltype(one) F;
+            const F log = smaller<F>(load<F>(from + x), F(MOST_LOG_ERROR));
+            store<F>(to + x, exp_of<F>(larger<F>(log, F(LEAST_LOG_ERROR))));
+        });
+    }
+}
+EXPORT(denoise_open_error, open_error_rows)
+
 static void open_channels(Long first, Long last, const Products& products, const Scaling& scaling,
                           Long begin, const Heads& fine) {
     for (Long k = 0; k < fine.size[1]; k++) {

@@ -33,7 +33,6 @@ import numpy as np
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, STEEPEST, in_half, kernel
 from postfx.kernels.library import Rows
-from postfx.kernels.numeric import Real, clamp, compiled, exp, inline, vectorised
 
 LANES = 8
 LEVEL = KERNEL + 1
@@ -107,21 +106,12 @@ OPEN_PHASED = kernel("open_phased", ("phased_fine",), ("fine",), None, ("fine", 
 OPEN_LOGITS = kernel("open_logits", ("fine_logits",), ("fine",), None, ("fine", 2), fine_logits=(1, FINE, "hp", "wp"))
 
 
-LEAST_LOG_ERROR, MOST_LOG_ERROR = np.float32(-14), np.float32(0)
-"""Logarithms of the squared errors that networks predict."""
+LEAST_LOG_ERROR = -14.0
+"""Logarithm of the least squared error that networks predict."""
+MOST_LOG_ERROR = 0.0
+"""Logarithm of the largest one."""
 
-
-@compiled
-def error_rows(y0: int, y1: int, log_error: np.ndarray, part_rows: np.ndarray, part_columns: np.ndarray,
-               error: np.ndarray) -> None:
-    """The expected squared error of a part's pixels; of one that is unknown, the largest."""
-    for y in range(y0, y1):
-        logarithms = log_error[0, 0, y]
-        for x in range(error.shape[1]):
-            error[y, x, 0] = exp(clamp(logarithms[x], LEAST_LOG_ERROR, MOST_LOG_ERROR))
-
-
-OPEN_ERROR = kernel("open_error", ("log_error", "part_rows", "part_columns"), ("error",), error_rows, ("error", 0),
+OPEN_ERROR = kernel("open_error", ("log_error", "part_rows", "part_columns"), ("error",), None, ("error", 0),
                     log_error=(1, 1, "hp", "wp"), error=("th", "tw", 1))
 
 
@@ -153,90 +143,8 @@ OPEN_FINE_CODES = kernel("open_fine_codes", ("codes", "factors", "scaling"), ("f
                          ("fine", 2), fine=(1, "channels", "half_hp", 2, "2*half_wp"))
 
 
-DARKEST_BYTE, BRIGHTEST_BYTE, ROUNDING = np.float32(0), np.float32(255), np.float32(0.5)
-WORD = 4
-"""Codes that are put together as one number of 32 bits, the first in its lowest bits."""
-
-
-@inline
-def code(value: Real, scale: Real, zero: Real) -> Real:
-    """8-bit code of a number; NaN gets the code of zero."""
-    known = value * scale if value == value else DARKEST_BYTE
-    return np.int32(min(max(known + zero + ROUNDING, DARKEST_BYTE), BRIGHTEST_BYTE))
-
-
-@compiled
-def code_four(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, first: int, coding: np.ndarray,
-              words: np.ndarray) -> None:
-    """Codes of rows of the four channels from the ``first`` on, as words."""
-    s0, s1, s2, s3 = coding[0, first], coding[0, first + 1], coding[0, first + 2], coding[0, first + 3]
-    z0, z1, z2, z3 = coding[1, first], coding[1, first + 1], coding[1, first + 2], coding[1, first + 3]
-    for x in range(words.size):
-        low = code(a[x], s0, z0) | (code(b[x], s1, z1) << np.int32(8))
-        words[x] = low | (code(c[x], s2, z2) << np.int32(16)) | (code(d[x], s3, z3) << np.int32(24))
-
-
-@compiled
-def code_row(values: np.ndarray, codings: np.ndarray, codes: np.ndarray) -> None:
-    """8-bit codes of numbers, each with its own coding."""
-    scales, zeros = codings[0], codings[1]
-    for i in range(codes.size):
-        codes[i] = np.uint8(code(values[i], scales[i], zeros[i]))
-
-
-@compiled
-def join_words(pairs: np.ndarray, last: int, words: np.ndarray) -> None:
-    """Put the eight codes of each pixel in ``pairs`` (2 w) behind the three in the first of ``words`` (3, w), and the
-    ``last`` code behind those."""
-    a, b, c, low, rest, high = words[0], words[1], words[2], np.int32(0xFFFFFF), np.int32(8), np.int32(24)
-    for x in range(a.size):
-        first, second = pairs[2 * x], pairs[2 * x + 1]
-        a[x] = (a[x] & low) | (first << high)
-        b[x] = ((first >> rest) & low) | (second << high)
-        c[x] = ((second >> rest) & low) | (last << high)
-
-
-@vectorised
-def place_words(words: np.ndarray, pixels: np.ndarray) -> None:
-    """(C / 4, w) -> the first of (w, C / 4)."""
-    for x in range(words.shape[1]):
-        for k in range(words.shape[0]):
-            pixels[x, k] = words[k, x]
-
-
-@compiled
-def zero_words(coding: np.ndarray, pixels: np.ndarray) -> None:
-    """Codes of zero for all channels of pixels (w, C / 4)."""
-    for k in range(pixels.shape[1]):
-        word = np.int32(0)
-        for i in range(WORD):
-            word |= np.int32(coding[1, WORD * k + i]) << np.int32(8 * i)
-        for x in range(pixels.shape[0]):
-            pixels[x, k] = word
-
-
-@compiled
-def store_rows(y0: int, y1: int, planes: np.ndarray, coding: np.ndarray, stored: np.ndarray) -> None:
-    """Codes of the planes, with a border of codes of zero."""
-    _, channels, h, w = planes.shape
-    ring, words = (stored.shape[1] - h) // 2, np.empty((stored.shape[3] // WORD, w), np.int32)
-    nothing = np.zeros(w, np.float32)
-    for row in range(y0, y1):
-        y, pixels = row - ring, stored[0, row].view(np.int32)
-        if ring or not 0 <= y < h:
-            zero_words(coding, pixels)
-        if 0 <= y < h:
-            for k in range(words.shape[0]):
-                c = WORD * k
-                code_four(planes[0, c, y] if c < channels else nothing,
-                          planes[0, c + 1, y] if c + 1 < channels else nothing,
-                          planes[0, c + 2, y] if c + 2 < channels else nothing,
-                          planes[0, c + 3, y] if c + 3 < channels else nothing, c, coding, words[k])
-            place_words(words, pixels[ring:])
-
-
 def _kernel(name: str, rows: str, columns: str) -> Kernel:
-    return Kernel(name, ("planes", "coding"), ("stored",), store_rows, ("stored", 1),
+    return Kernel(name, ("planes", "coding"), ("stored",), Rows(name), ("stored", 1),
                   {"planes": (1, "channels", "hp", "wp"), "coding": (2, "wide"), "stored": (1, rows, columns, "wide")},
                   {"stored": "uint8"})
 
