@@ -33,7 +33,7 @@ static void open_logits_rows(Long first, Long last, View<const float, 4> logits,
             with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
                 across(0, fine.size[3], PIXELS(auto one, Long x) {
                     typedef decltype(one) F;
-                    const F logit = within<F>(load<F>(from + x), -STEEPEST, STEEPEST);
+                    const F logit = within<F>(known<F>(load<F>(from + x)), -STEEPEST, STEEPEST);
                     store<F>(out + x, opened<F, meaning.is>(logit));
                 });
             });
@@ -50,8 +50,8 @@ static void open_error_rows(Long first, Long last, View<const float, 4> log_erro
         float* to = error(y);
         across(0, error.size[1], PIXELS(auto one, Long x) {
             typedef decltype(one) F;
-            const F log = smaller<F>(load<F>(from + x), F(MOST_LOG_ERROR));
-            store<F>(to + x, exp_of<F>(larger<F>(log, F(LEAST_LOG_ERROR))));
+            const F log = known<F>(load<F>(from + x));
+            store<F>(to + x, exp_of<F>(within<F>(log, LEAST_LOG_ERROR, MOST_LOG_ERROR)));
         });
     }
 }
