@@ -7,7 +7,7 @@ import dataclasses
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, nullcontext
 from functools import cached_property, partial
 from math import log2
@@ -52,6 +52,7 @@ from postfx.io.sequence import Sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.kernels.native import CompileWatch
 from postfx.passes import Pass
+from postfx.passes.denoise.options import output_size
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
 from postfx.passes.partner import Partner
@@ -483,7 +484,8 @@ class Job:
         passes += [create("both_ways", **parts)] if both_ways else []
         if denoising is not None and partner:
             strength = denoising.get("strength")
-            passes.append(create("mix_partner", strength=1.0 if strength is None else strength, **parts))
+            passes.append(create("mix_partner", strength=1.0 if strength is None else strength,
+                                 scale=self._enlargement(denoising), both_ways=both_ways, **parts))
         passes += [create("overlay")] if self._arguments.overlay == "composite" else []
         is_picture = self.outputs is not None and self.outputs.display
         shown, not_shown = make_display_passes(is_picture, **self._values("look"))
@@ -493,6 +495,12 @@ class Job:
             raise OptionError(f"--both-ways denoises frames as they are in their files, before pass '{chain[0].name}': "
                               "let the pass run after=denoise_upscale, or leave --both-ways out")
         return chain, skips + not_shown
+
+    def _enlargement(self, denoising: Mapping[str, Any]) -> float:
+        """Output over render width, by the denoiser's options and the first frame."""
+        with self.sequence.open(self.first) as files:
+            spec = files.spec()
+        return output_size(spec, denoising.get("scale"), denoising.get("size")).width / spec.width
 
     def _find_parts(self) -> tuple[Part, ...]:
         """Parts of the picture that --aov and --aov-denoise ask for; none where the output cannot hold them."""

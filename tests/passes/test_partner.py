@@ -14,6 +14,7 @@ from postfx import DenoiseUpscale, Frame, MixPartner, Oidn, Partner, Pipeline, R
 from postfx.errors import DeviceError, FrameError, OptionError, PassOptionError, RegistryError
 from postfx.frame import FrameSpec
 from postfx.passes import Pass, Reflection, registry
+from postfx.passes.partner import BACKWARD_FRAMES, REACH, partner_weight
 from postfx.plan import make_plan
 from postfx.runtime import Device
 
@@ -211,9 +212,37 @@ def between(one: float, other: float, share: float = 0.5) -> float:
     return float(np.expm1((1 - share) * np.log1p(one) + share * np.log1p(other)))
 
 
-def test_a_first_frame_is_the_mean_of_logarithms(device: Device) -> None:
+FIRST = partner_weight(1)
+SETTLED = 6  # frames from which on the weight changes little
+
+
+def test_a_first_frame_is_the_weighted_mean_of_logarithms(device: Device) -> None:
     (found,) = mix([pair(1, 7)], device)
-    np.testing.assert_allclose(found, between(1, 7), rtol=1e-5)  # 3, not 4
+    np.testing.assert_allclose(found, between(1, 7, FIRST), rtol=1e-5)
+
+
+def test_the_partner_counts_less_the_longer_the_history_and_the_larger_the_picture(device: Device) -> None:
+    weights = [partner_weight(frames) for frames in range(1, 40)]
+    assert weights == sorted(weights, reverse=True) and 0.7 < weights[0] <= 1 and 0.2 < weights[-1] < 0.4
+    (enlarged,) = mix([pair(1, 7)], device, scale=2)
+    np.testing.assert_allclose(enlarged, between(1, 7, partner_weight(1, 2.0)), rtol=1e-5)
+    (known,) = mix([pair(1, 7)], device, both_ways=True)
+    np.testing.assert_allclose(known, between(1, 7, partner_weight(1 + BACKWARD_FRAMES)), rtol=1e-5)
+    apart = [pair(0, light, motion=even(0, 2)) for light in (10, 1e3, 10, 1e3, 10, 1e3)]
+    found = [float(np.log1p(picture).mean() / np.log1p(frame[Role.PARTNER]).mean())
+             for picture, frame in zip(mix(apart, device), apart, strict=True)]
+    assert found[1] > found[3] > found[5]  # the lower end of what is allowed
+
+
+def test_the_count_of_frames_is_part_of_the_history(device: Device) -> None:
+    mixer = MixPartner()
+    run([mixer], [pair(1, 7, motion=even(0, 2)) for _ in range(2)], device)
+    kept = mixer.history()
+    assert kept["frames"].tolist() == [2]
+    mixer.recall(kept)
+    assert mixer.history()["frames"].tolist() == [2]
+    mixer.reset()
+    assert mixer.history() == {}
 
 
 def test_where_both_agree_nothing_changes_by_a_bit(device: Device) -> None:
@@ -224,9 +253,11 @@ def test_where_both_agree_nothing_changes_by_a_bit(device: Device) -> None:
 
 def test_the_last_mixture_stays_as_long_as_it_lies_near_the_mean(device: Device) -> None:
     still = {"motion": even(0, 2)}
-    first, second, third = mix([pair(1, 7, **still), pair(1.2, 6.5, **still), pair(20, 30, **still)], device)
-    np.testing.assert_allclose(second, first, rtol=1e-5)
-    np.testing.assert_allclose(third, between(20, 30, 0.25), rtol=1e-5)  # the nearest end of what is allowed
+    frames = [*[pair(1, 7, **still)] * SETTLED, pair(1.2, 6.5, **still), pair(20, 30, **still)]
+    *_, first, second, third = mix(frames, device)
+    np.testing.assert_allclose(second, first, rtol=0.03)
+    weight = partner_weight(SETTLED + 2)
+    np.testing.assert_allclose(third, between(20, 30, (1 - REACH) * weight), rtol=1e-5)
 
 
 def test_the_last_mixture_moves_along_the_motion(device: Device) -> None:
@@ -238,24 +269,24 @@ def test_the_last_mixture_moves_along_the_motion(device: Device) -> None:
 
     moved = np.broadcast_to(np.float32([-2, 0]), (*SIZE, 2))
     frames = [Frame({Role.COLOUR: column(at), Role.PARTNER: column(at) * 1.5, Role.MOTION: moved.copy()})
-              for at in (10, 12)]
-    first, second = mix(frames, device)
-    np.testing.assert_allclose(second[:, 12], first[:, 10], rtol=1e-5)
-    np.testing.assert_allclose(second[:, 0], between(1, 1.5), rtol=1e-5)
+              for at in range(10, 10 + 2 * SETTLED, 2)]
+    *_, first, second = mix(frames, device)
+    np.testing.assert_allclose(second[:, 8 + 2 * SETTLED], first[:, 6 + 2 * SETTLED], rtol=0.02)
+    np.testing.assert_allclose(second[:, 0], between(1, 1.5, partner_weight(SETTLED)), rtol=1e-5)
 
 
 def test_no_past_counts_without_motion_or_after_a_cut(device: Device) -> None:
     frames = [pair(1, 7), pair(1.2, 6.5)]
-    np.testing.assert_allclose(mix(frames, device)[1], between(1.2, 6.5), rtol=1e-5)
+    np.testing.assert_allclose(mix(frames, device)[1], between(1.2, 6.5, FIRST), rtol=1e-5)
     moving = [pair(1, 7, motion=even(0, 2)), pair(1.2, 6.5, motion=even(0, 2))]
     moving[1].reset = True
-    np.testing.assert_allclose(mix(moving, device)[1], between(1.2, 6.5), rtol=1e-5)
+    np.testing.assert_allclose(mix(moving, device)[1], between(1.2, 6.5, FIRST), rtol=1e-5)
 
 
-@pytest.mark.parametrize(("option", "plane", "share"), [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.5, 0.5, 0.125)])
+@pytest.mark.parametrize(("option", "plane", "share"), [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.5, 0.5, 0.25)])
 def test_strength_says_how_much_is_mixed(option: float, plane: float, share: float, device: Device) -> None:
     (found,) = mix([pair(1, 7, strength=even(plane, 1))], device, strength=option)
-    np.testing.assert_allclose(found, between(1, 7, share), rtol=1e-5)
+    np.testing.assert_allclose(found, between(1, 7, share * FIRST), rtol=1e-5)
 
 
 def test_parts_add_up_to_the_mixture(device: Device) -> None:
@@ -267,7 +298,7 @@ def test_parts_add_up_to_the_mixture(device: Device) -> None:
 
 def test_very_bright_light_is_not_cut(device: Device) -> None:
     (found,) = mix([pair(1e6, 1e8)], device)
-    np.testing.assert_allclose(found, 1e7, rtol=1e-3)
+    np.testing.assert_allclose(found, between(1e6, 1e8, FIRST), rtol=1e-3)
 
 
 def test_it_says_why_it_does_nothing() -> None:
@@ -282,11 +313,12 @@ def test_it_says_why_it_does_nothing() -> None:
 @pytest.mark.parametrize("scale", [1, 1.5, 2])
 def test_any_pass_of_the_frames_size_may_be_a_partner(scale: float, device: Device) -> None:
     light = Frame({Role.COLOUR: even(0.5), Role.MOTION: even(0, 2), Role.DEPTH: even(1, 1)})
-    passes = [Partner(of="brighter"), DenoiseUpscale(scale=scale, model="s.fp32"), MixPartner()]
+    passes = [Partner(of="brighter"), DenoiseUpscale(scale=scale, model="s.fp32"), MixPartner(scale=scale)]
     (found,) = run(passes, [light], device)
     (alone,) = run([DenoiseUpscale(scale=scale, model="s.fp32")], [light], device)
     assert set(found.planes) >= {Role.COLOUR} and Role.PARTNER not in found
-    wanted = np.expm1((np.log1p(alone[Role.COLOUR]) + np.log1p(1.0)) / 2)
+    own = np.log1p(alone[Role.COLOUR])
+    wanted = np.expm1(own + partner_weight(1, scale) * (np.log1p(1.0) - own))
     np.testing.assert_allclose(found[Role.COLOUR], wanted, rtol=1e-4)
 
 
