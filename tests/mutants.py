@@ -77,7 +77,7 @@ ROOMS = (
               "denoise_alpha_level", "denoise_enlarge_alpha"),
     *_kernels("prepare", 1, "denoise_scale", "denoise_dilate", "denoise_means", "denoise_accumulate"),
     *_kernels("network_io", 2, "denoise_pack", "denoise_open", "denoise_store", "stored"),
-    *_kernels("output", 3, "denoise_judge", "denoise_detail", "denoise_restore", "detail_is_told", "denoise_assemble",
+    *_kernels("output", 1, "denoise_judge", "denoise_detail", "denoise_restore", "detail_is_told", "denoise_assemble",
               "denoise_strength"),
     *_kernels("alpha", 2, "denoise_gather", "denoise_fit", "denoise_correct"),
     *_kernels("history", 5, "denoise_history", "denoise_resize", "denoise_reactive", "denoise_spread", "denoise_keep",

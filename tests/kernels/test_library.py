@@ -139,7 +139,8 @@ def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(ker
             kept, finite, where = wanted == clean[FUSED[0]][name], np.isfinite(wanted), f"{binding} {name}"
             assert (~kept).sum() <= MOST_CHANGED, where
             for form, arrays in found.items():
-                np.testing.assert_array_equal(arrays[name][kept], clean[form][name][kept], f"{where} {form}")
+                bits = 0 if form in FUSED else 1e-6  # others may round a change that these do not see
+                np.testing.assert_allclose(arrays[name][kept], clean[form][name][kept], bits, bits, err_msg=where)
                 np.testing.assert_array_equal(np.isfinite(arrays[name]), finite, f"{where} {form}")
                 if form in FUSED:
                     np.testing.assert_array_equal(arrays[name], wanted, f"{where} {form}")
