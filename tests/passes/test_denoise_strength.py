@@ -79,7 +79,8 @@ def test_full_strength_is_the_denoised_picture_where_the_plane_says_so(device: D
 def test_rows_of_full_strength_are_denoised_and_those_beside_them_blended(
     size: tuple[int, int], scale: float, device: Device
 ) -> None:
-    """To the bit where the strength is 0 or 1, with the longest run of such rows in the middle, at an end, or cut by a single pixel."""
+    """To the bit where the strength is 0 or 1: with the longest run of such rows in the middle, at an end, or cut by a
+    single pixel."""
     frame, pipeline = noisy(1, *size), Pipeline([DenoiseUpscale(scale=scale)], device, exposure=0.0)
     (full,), plain = run([frame], device, scale=scale), resampled(frame, Role.COLOUR, scale)
     for first, end, hole in ((0, size[0] - 3, None), (6, size[0], None), (4, size[0] - 5, 7), (5, size[0] - 1, None)):
