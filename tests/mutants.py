@@ -80,7 +80,7 @@ ROOMS = (
     *_kernels("output", 1, "denoise_judge", "denoise_detail", "denoise_restore", "detail_is_told", "denoise_assemble",
               "denoise_strength"),
     *_kernels("alpha", 2, "denoise_gather", "denoise_fit", "denoise_correct"),
-    *_kernels("history", 5, "denoise_history", "denoise_resize", "denoise_reactive", "denoise_spread", "denoise_keep",
+    *_kernels("history", 1, "denoise_history", "denoise_resize", "denoise_reactive", "denoise_spread", "denoise_keep",
               "denoise_reflections", "error_of_reflections", also="tests/passes/test_denoise_reflections.py"),
     *_kernels("upsample", 3, "denoise_upsample"),
     *_kernels("parts", 1, "denoise_accumulate_part", "denoise_reflectance", "denoise_upsample_light", "denoise_balance",
