@@ -166,7 +166,7 @@ CHOSEN = (
     ("py", "or abs(columns[1]) > MARGIN - 3", "or columns[1] > MARGIN - 3"),
     ("py", "max(held, low * alpha)", "max(held, low)"),
     ("py", "rows[y] == columns[x] else greys[1]", "rows[y] != columns[x] else greys[1]"),
-    ("py", "return halo_of(models) * 4 // 3", "return halo_of(models) // 3"),
+    ("py", "_halo(model) * 4 // 3", "_halo(model) // 3"),
     ("py", "min(max(0, first - halo) // grid * grid, last)", "min(max(0, first - halo), last)"),
     ("py", 'pack("<2i", top + place * lines, len(chunk))', 'pack("<2i", top, len(chunk))'),
     ("py", "if len(packed) < plain.size else plain.tobytes()", ""),

@@ -3,6 +3,8 @@
 
 constexpr float TINY = 1e-8f;
 constexpr float STEEPEST = 8.0f;
+constexpr float LEAST_LOG_ERROR = -14.0f;
+constexpr float MOST_LOG_ERROR = 0.0f;
 constexpr float MAX_COLOUR = 1e4f;
 constexpr float MAX_LIGHT = 1e30f;
 constexpr float MAX_FLOAT = 3e38f;

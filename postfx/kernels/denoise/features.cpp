@@ -343,6 +343,23 @@ static Status guide_rows(Long first, Long last, Picture diffuse, Picture specula
 }
 EXPORT(denoise_guides, guide_rows)
 
+// Planes of what mirrors and glass show: albedo 0, normal 3.
+static Status mirrored_rows(Long first, Long last, Picture albedo, Picture normal, Given<Window> window,
+                            Places seen_rows, Places seen_columns, View<float, 4> mirrored) {
+    const Long count = mirrored.size[3], top = Long(window->top), left = Long(window->left);
+    const Room<int> columns(count);
+    if (!columns) return NO_MEMORY;
+    for (Long x = 0; x < count; x++) columns.at[x] = int(left + Long(seen_columns.at[x]));
+    for (Long row = first; row < last; row++) {
+        const ChannelRows to = {mirrored(0, 0, row), mirrored.size[2] * count};
+        const Long y = top + Long(seen_rows.at[row]);
+        picked_planes<3>(albedo(y), columns.at, 0.0f, 1.0f, count, to, 0);
+        picked_planes<3>(normal(y), columns.at, -1.0f, 1.0f, count, to, 3);
+    }
+    return DONE;
+}
+EXPORT(denoise_mirrored, mirrored_rows)
+
 // How far the guides' reflectance is trusted, in cells: fully where its mean over a render pixel is the reflectance at
 // render size, less where that follows the detail, as with planes of one sample a pixel.
 

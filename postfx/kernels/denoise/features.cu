@@ -198,6 +198,25 @@ extern "C" __global__ void denoise_features_half(View colour, View diffuse_albed
                            warped, depth_scale, params, window, keep, seen_rows, seen_columns, past, features);
 }
 
+// Planes of what mirrors and glass show: denoising_albedo and denoising_normal (h, w, 3), window (8,), seen_rows (hp,),
+// seen_columns (wp,) -> mirrored (1, 6, hp, wp).
+extern "C" __global__ void denoise_mirrored(View denoising_albedo, View denoising_normal, View window, View seen_rows,
+                                            View seen_columns, View mirrored) {
+    const int height = seen_rows.size[0], width = seen_columns.size[0];
+    PIXEL(width, height);
+    const Window part = window_of(window);
+    const size_t pixel = size_t(part.top + int(seen_rows.at[y])) * part.w + part.left + int(seen_columns.at[x]);
+    const Colour albedo = three(denoising_albedo, pixel), normal = three(denoising_normal, pixel);
+    const size_t plane = size_t(height) * width;
+    float* const to = mirrored.at + size_t(y) * width + x;
+    to[0] = clamped(albedo.r, 0.0f, 1.0f);
+    to[plane] = clamped(albedo.g, 0.0f, 1.0f);
+    to[2 * plane] = clamped(albedo.b, 0.0f, 1.0f);
+    to[3 * plane] = clamped(normal.r, -1.0f, 1.0f);
+    to[4 * plane] = clamped(normal.g, -1.0f, 1.0f);
+    to[5 * plane] = clamped(normal.b, -1.0f, 1.0f);
+}
+
 // The nearest guide pixel at each corner of a render pixel, as the network sees these: guide_diffuse_albedo,
 // guide_specular_albedo and guide_normal (height, width, 3), guide_roughness and guide_depth (height, width, 1),
 // depth_scale (1,), window (8,), seen_rows (hp,), seen_columns (wp,)

@@ -14,6 +14,7 @@ from postfx.kernels.denoise import (
     GUIDE_PLANES,
     GUIDE_REFLECTANCE,
     IN_HALF,
+    MIRRORED_PLANES,
     REFLECTANCE,
     kernel,
 )
@@ -43,6 +44,12 @@ STORED_FEATURE = Kernel(
     {name: shape for name, shape in FEATURE.shapes.items() if name != "features"}
     | {"coding": (2, "wide"), "stored": (1, "stored_h", "stored_w", "wide")}, {"stored": "uint8"})
 """Features in 8 bits, with a border or without."""
+
+# Planes of what mirrors and glass show: albedo 0, normal 3. The torch definition is
+# ``training.denoise.model.mirrored_features``.
+
+MIRROR = kernel("mirrored", (*MIRRORED_PLANES, "window", "seen_rows", "seen_columns"), ("mirrored",), None,
+                ("mirrored", 2))
 
 # Guides: planes at output size, where the network predicts its filters. Channels of ``guides``, for the corners of a
 # render pixel at top left, top right, bottom left and bottom right: diffuse albedo 0, specular albedo 3, normal 6,
