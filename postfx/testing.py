@@ -23,7 +23,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pytest
 
-from postfx.errors import FrameError, NotCompiledError, PassOptionError
+from postfx.errors import FrameError, ModelError, NotCompiledError, PassOptionError
 from postfx.frame import ENCODINGS, GUIDE_ROLES, ROLES, Frame, FrameSpec, GuideSpec, Role
 from postfx.passes import Pass, ResidentFrame, registry
 from postfx.pipeline import Pipeline
@@ -305,7 +305,13 @@ class PassContract:
     def test_portable_kernels_give_the_same_picture(self, make: Maker, device: Device, portable: Device) -> None:
         instance = make()
         frames = [make_frame(find_spec(instance), number) for number in (1, 2)]
-        for one, other in zip(_run(make(), frames, device), _run(make(), frames, portable), strict=True):
+        try:
+            others = _run(make(), frames, portable)
+        except ModelError as error:
+            if type(instance).__module__.startswith("postfx.") or "has no form that runs on" not in str(error):
+                raise
+            pytest.skip(f"{error}; without it, the pass runs on a CPU, and on CUDA if it has a source")
+        for one, other in zip(_run(make(), frames, device), others, strict=True):
             for role in one.planes:
                 np.testing.assert_allclose(one[role], other[role], rtol=PORTABLE_TOLERANCE, atol=PORTABLE_TOLERANCE)
 

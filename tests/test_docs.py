@@ -4,9 +4,11 @@ import importlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +32,7 @@ def vignette(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("vignette")
     text = (DOCS / "howto/passes.md").read_text(encoding="utf-8")
     for paragraph, code in re.findall(r"\n\n([^\n].*?)\n\n```\w+\n(.*?)```", text, re.DOTALL):
-        names = re.findall(r"`([\w/]+\.(?:py|toml|cu))`", paragraph.rpartition("\n\n")[2])
+        names = re.findall(r"`([\w/]+\.(?:py|toml|cu|h))`", paragraph.rpartition("\n\n")[2])
         if names:
             path = folder / names[-1]
             path.parent.mkdir(exist_ok=True)
@@ -63,6 +65,26 @@ def test_the_example_package_is_made_installed_and_run_as_written(vignette):
     assert facts["settings"]["pass"] == "['vignette,amount=0.5']" and facts["passes"]["vignette"] == {"amount": 0.5}
     assert facts["versions"]["pass vignette"] == "postfx-vignette 1.0"
     assert re.search(r"(\d+) passed", done.stdout) and "failed" not in done.stdout
+
+
+@pytest.mark.skipif(find_spec("ziglang") is None, reason="needs ziglang")
+def test_a_header_alone_is_enough_on_a_cpu(vignette, tmp_path):
+    """Without CUDA and ONNX, the contract suite skips only what compares other forms."""
+    package, facts = tmp_path / "postfx_vignette", tmp_path / "postfx_vignette-1.0.dist-info"
+    package.mkdir()
+    facts.mkdir()
+    for name in ("__init__.py", "vignette.h"):
+        shutil.copy(vignette / "postfx_vignette" / name, package)
+    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: postfx-vignette\nVersion: 1.0\n")
+    (facts / "entry_points.txt").write_text("[postfx.passes]\nvignette = postfx_vignette:Vignette\n")
+    (tmp_path / "conftest.py").write_text('pytest_plugins = ["postfx.testing"]\n')
+    shutil.copy(vignette / "test_vignette.py", tmp_path)
+    paths = os.pathsep.join([str(tmp_path), str(DOCS.parent)])
+    done = subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-rs", "test_vignette.py"],
+                          env=os.environ | {"PYTHONPATH": paths}, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (skipped,) = re.findall(r"SKIPPED \[(\d)\] .*kernel 'vignette' has no form that runs on", done.stdout)
+    assert skipped == "1"
 
 
 def test_the_example_pass_runs_in_python(vignette, monkeypatch, capsys):

@@ -18,7 +18,7 @@ from postfx.errors import BindingError, DeviceError
 from postfx.kernels import Kernel, build, constants_of, find_source, library
 from postfx.kernels.denoise import FINE
 from postfx.kernels.denoise.features import FEATURE
-from postfx.kernels.denoise.history import HISTORY
+from postfx.kernels.denoise.history import HISTORY, KEEP
 from postfx.kernels.denoise.network_io import OPEN_PHASED
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE
@@ -97,7 +97,7 @@ def test_arm64_gives_the_same_bits_too(tmp_path: Path) -> None:
 
 CODED = {coded for _, coded in FROM_CODES}
 OTHERWISE = {FEATURE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED, UPSAMPLE_LIGHT,
-             ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE}
+             ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, KEEP}
 """Kernels whose portable definition has other answers: the first multiply what they leave out by 0, so that NaN and
 infinity get into neighbours; the others hold NaN within bounds, where ONNX's Clip, Min and Max leave it."""
 MOST_CHANGED = 330
@@ -139,7 +139,8 @@ def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(ker
             kept, finite, where = wanted == clean[FUSED[0]][name], np.isfinite(wanted), f"{binding} {name}"
             assert (~kept).sum() <= MOST_CHANGED, where
             for form, arrays in found.items():
-                np.testing.assert_array_equal(arrays[name][kept], clean[form][name][kept], f"{where} {form}")
+                bits = 0 if form in FUSED else 1e-6  # others may round a change that these do not see
+                np.testing.assert_allclose(arrays[name][kept], clean[form][name][kept], bits, bits, err_msg=where)
                 np.testing.assert_array_equal(np.isfinite(arrays[name]), finite, f"{where} {form}")
                 if form in FUSED:
                     np.testing.assert_array_equal(arrays[name], wanted, f"{where} {form}")

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise import MOST_MOTION
+from postfx.kernels.denoise import FARTHEST, MOST_MOTION, NEAREST
 from postfx.kernels.denoise import history as layout
 from postfx.kernels.denoise.history import SPREAD
 from postfx.kernels.denoise.output import (
@@ -147,7 +147,7 @@ class Reflections(nn.Module):
         own = torch.where(motion.abs() < float(MOST_MOTION), motion, torch.zeros_like(motion))
         share = (ops.sanitise(specular_albedo, 0, 1) - ops.sanitise(diffuse_albedo, 0, 1)).sum(-1, keepdim=True)
         chosen = (share > 0) & (roughness <= layout.ROUGHEST) & (hit_distance > 0)
-        chosen = chosen & (depth > 0) & (depth < layout.FARTHEST)
+        chosen = chosen & (depth > 0) & (depth < FARTHEST)
         rays = self._rays(depth, camera)
         still, _ = self._motion(camera, rays, 1 / depth)
         most = layout.STILL + layout.PART * own.abs().amax(-1, keepdim=True)
@@ -172,7 +172,7 @@ class Reflections(nn.Module):
         then = rays[..., :1] * turn[0] + rays[..., 1:] * turn[1] + turn[2]
         then = then + camera[layout.SHIFT:layout.WORLD] * nearness
         ahead = then[..., 2:]
-        at = then[..., :2] / ahead.clamp(min=float(layout.NEAREST))
+        at = then[..., :2] / ahead.clamp(min=float(NEAREST))
         return at * camera[layout.FOCAL_THEN:layout.JITTER] - rays * camera[layout.FOCAL:layout.FOCAL_THEN], ahead
 
     def _inverse_distance(self, hit_distance: Tensor, depth: Tensor) -> Pair:
@@ -180,7 +180,7 @@ class Reflections(nn.Module):
         distance, z = around(hit_distance), around(depth)
         counts = (distance > 0) & ((z - depth[..., None]).abs() <= layout.STEP * depth[..., None])
         counts &= self._in_picture(depth) > 0
-        each = torch.where(counts, 1 / distance.clamp(min=float(layout.NEAREST)), torch.zeros_like(distance))
+        each = torch.where(counts, 1 / distance.clamp(min=float(NEAREST)), torch.zeros_like(distance))
         count = counts.to(depth.dtype).sum(-1)
         return each.sum(-1) / count.clamp(min=1), count > 0
 

@@ -38,7 +38,6 @@ from postfx.kernels.denoise import (
     WIDTH,
     kernel,
 )
-from postfx.kernels.denoise.history import kept_row
 from postfx.kernels.denoise.upsample import gauss, pixel_of
 from postfx.kernels.numeric import (
     Real,
@@ -92,6 +91,14 @@ def slope_row(before: np.ndarray, here: np.ndarray, after: np.ndarray, out: np.n
     for x in range(out.size):
         left, right = here[x] - before[x], after[x] - here[x]
         out[x] = left if abs(left) < abs(right) else right
+
+
+@compiled
+def kept_row(keep: np.ndarray, y: int, share: np.ndarray) -> None:
+    """A row of ``keep``, which has one value for all pixels or one for each."""
+    row, last = keep[min(y, keep.shape[0] - 1)], keep.shape[1] - 1
+    for x in range(share.size):
+        share[x] = row[min(x, last), 0]
 
 
 PLACES, NEAR = 5, 4
