@@ -136,7 +136,7 @@ class Sequence:
         """The same frames of the first view alone; a warning names the others."""
         if not self.views:
             return self
-        self.warn(f"view {self.view} is looked at, not {', '.join(self.views)}: --view chooses one")
+        self.warn(f"view {self.view} is used, not {', '.join(self.views)}: --view chooses one")
         return self.reader()
 
     def pictures(self) -> Sequence:
@@ -410,7 +410,7 @@ class Sequence:
     def _is_after_gap(self, number: int, previous: int | None) -> bool:
         if previous is None or previous == number - self._step:
             return False
-        self.warn("frames are not consecutive: history is dropped where one was left out")
+        self.warn("frames are not consecutive: the history begins anew after each gap")
         return True
 
     def warn(self, warning: str) -> None:
