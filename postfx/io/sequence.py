@@ -116,6 +116,10 @@ class Sequence:
         if self.guides and self.guides.pattern.has_views != self.pattern.has_views:
             raise SequenceError(f"{guides}: guides have files for each view where frames do: put {VIEW} into both")
 
+    def __repr__(self) -> str:
+        """The files, and which frames of them."""
+        return f"Sequence({str(self.pattern)!r}, frames={format_frames(self.numbers)!r})"
+
     def __len__(self) -> int:
         return len(self.numbers)
 
