@@ -24,7 +24,7 @@ test: $(VENV)/installed-dev
 
 # The documentation site, in build/site: from docs/, the code and, if npm is there, the page in the browser.
 docs: $(VENV)/installed-docs
-	$(BIN)/python -m pytest -q tests/test_words.py tests/test_site.py
+	$(BIN)/python -m pytest -q tests/test_words.py tests/test_site.py tests/test_search.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	if command -v npm >/dev/null; then \
 	    $(MAKE) page && $(BIN)/python -m pytest -q tests/web && cp -r build/page build/site/try; fi

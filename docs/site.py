@@ -143,8 +143,16 @@ def on_files(files: Any, config: Any) -> Any:
     return files
 
 
+LAST = 1e-4
+"""How much a hit in the laboratory counts in the site's search, so that pages for people come first."""
+
+
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Called by mkdocs for each page: a link to a file outside docs/ becomes its name, as the site does not have it."""
+    """Called by mkdocs for each page: a link to a file outside docs/ becomes its name, as the site does not have it. The
+    search lists pages of the laboratory last."""
+    if page.file.src_uri.startswith("lab/"):
+        page.meta["search"] = {"boost": LAST}
+
     def plain(match: re.Match[str]) -> str:
         target = (ROOT / "docs" / page.file.src_uri).parent / match[2]
         return match[0] if "://" in match[2] or (ROOT / "docs") in target.resolve().parents else match[1]

@@ -1,4 +1,4 @@
-"""Small networks that run, and learn, within the commands of a frame. See docs/neural.md."""
+"""Small networks that run, and learn, within the commands of a frame. See docs/lab/networks.md."""
 
 from __future__ import annotations
 

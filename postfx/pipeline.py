@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from postfx.caching import LRUCache, SpareMemory
 from postfx.cuts import CutDetector
-from postfx.errors import CutError, ExposureError, FrameError, PassContractError
+from postfx.errors import CutError, ExposureError, FrameError, PassContractError, PassOptionError
 from postfx.exposure import ExposureMeter, SmoothExposure
 from postfx.frame import GUIDE_ROLES, LOG, Frame, FrameSpec, Role
 from postfx.kernels.statistics import lend
@@ -34,6 +34,23 @@ MOST_COPIES, SMALL = MOST_SIZES * (len(Role) + len(GUIDE_ROLES)), 1 << 20
 
 RunUp = Callable[[Frame, Callable[[Frame], None]], Frame]
 """Runs frames before one that begins a shot, by the function that it is given, and says as what that one is run."""
+
+
+def _kind(thing: object) -> str:
+    """What something is, for a message."""
+    return f"{type(thing).__module__}.{type(thing).__name__}".removeprefix("builtins.")
+
+
+def _check_passes(passes: Sequence[Pass]) -> tuple[Pass, ...]:
+    """The passes of a pipeline; PassOptionError for anything else, such as the picture itself."""
+    how = "give a list: Pipeline([postfx.DenoiseUpscale(), postfx.ToneMap()]), then call it with a postfx.Frame"
+    if isinstance(passes, Pass):
+        raise PassOptionError(f"a pipeline takes a list of passes, not one pass: Pipeline([{passes!r}])")
+    found = tuple(passes) if isinstance(passes, Iterable) else (passes,)
+    wrong = [one for one in found if not isinstance(one, Pass)]
+    if wrong:
+        raise PassOptionError(f"a pipeline takes passes, not {_kind(wrong[0])}: {how}")
+    return found
 
 
 class Pipeline:
@@ -78,7 +95,7 @@ class Pipeline:
     ) -> None:
         if cuts not in ("auto", "none"):
             raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are known")
-        self.passes = with_tool(tuple(passes))
+        self.passes = with_tool(_check_passes(passes))
         self.device = device if device is not None else default_device()
         self.plan: Plan | None = None
         self.timings: dict[str, float] = {}
@@ -99,6 +116,10 @@ class Pipeline:
         self._views: dict[str, Pipeline] = {}
         self._lent: tuple[dict[Role, Tensor], dict[Role, Tensor]] = {}, {}  # the last frame's, in the device's memory
 
+    def __repr__(self) -> str:
+        """The passes as one would write them, and where they run."""
+        return f"Pipeline([{', '.join(map(repr, self.passes))}], device={self.device!r})"
+
     def __reduce__(self) -> tuple[Callable[..., Pipeline], tuple[Any, ...]]:
         """Pickled by its arguments: the copy is not compiled and has no history. Without a device of its own it
         runs on the default device of the process that it comes to."""
@@ -112,6 +133,9 @@ class Pipeline:
         another size. When anything fails, the history is dropped and the error is raised; FrameError for planes that do
         not fit together.
         """
+        if not isinstance(frame, Frame):
+            raise FrameError(f"a pipeline takes a postfx.Frame, not {_kind(frame)}: give Frame({{'colour': array}}), "
+                             "or use postfx.denoise(array) for a single picture")
         try:
             # planes may have been put into it since it was made
             with lend(self.device.lent):

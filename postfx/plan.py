@@ -14,6 +14,7 @@ from postfx.passes import Pass, Reflection
 
 KEPT = (Role.COLOUR, Role.ALPHA, Role.OVERLAY)
 """Planes that are wanted in the output even when no pass touches them."""
+NO_GUIDES = "none: albedo, normals and depth at output size would make edges sharper (--guides)"
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ class Plan:
         offered, read = self.available.guides, from_files(self.guides)
         if offered is None or not from_files(offered.roles):
             wanted = any(step.reflection.may_read_guides for step in self.steps)
-            return ["none: planes at output size would make edges exact (--guides)"] if wanted else []
+            return [NO_GUIDES] if wanted else []
         used = f"used: {_names(read)}" if read else "not used"
         return [f"{offered.width}x{offered.height}, {used}"]
 

@@ -1,7 +1,7 @@
 """Shows pictures in even steps of time: rendered frames, and frames between them, each at its turn.
 
 A picture that comes early waits; one that comes late is shown at once, left out or moved to a later turn by one rule.
-What was shown when is measured. See docs/interpolation.md.
+What was shown when is measured. See docs/lab/interpolation.md.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     python samples/compare_speed.py [--width 960] [--height 540] [--runs 5] [--models m,s]
     python samples/compare_speed.py --device cuda --runs 50 --models s,m
 
-It needs pip install 'postfx-render[bench]', on a GPU also PyTorch with CUDA. postfx turns noisy frames of the given
+It needs pip install '.[bench]', on a GPU also PyTorch with CUDA. postfx turns noisy frames of the given
 size into twice as large, tone-mapped ones. OIDN (clean albedo and normal) denoises a frame of the same size and one of
 the output's size. Prints medians, spread and ratios. On the CPU times are those of whole calls. On a GPU they are the
 device's own, between its first and last command: all planes lie there for both, and nothing is copied.

@@ -7,7 +7,7 @@ real-time renderers do: the variance then knows nothing of what lies between pla
 pixel stops when the standard error of its mean is at most so much of it, in steps of 16 samples. The frame, with the
 variance and number of its samples, is enlarged to twice its size: denoised everywhere, and with what has converged left
 alone. Prints samples a pixel, the share left alone, PSNR in dB there and of the whole (against 64 samples of each pixel
-of the output), and milliseconds of the denoiser, medians of runs in turn. pip install 'postfx-render[bench]'
+of the output), and milliseconds of the denoiser, medians of runs in turn. pip install '.[bench]'
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Does detail beyond the render size come back? A slow pan of jittered frames, known exactly, enlarged twice.
 
-python samples/detail.py [--models m,s] [--frames 16] [--noise 0.5] [--pan 0.31,0.13]     needs postfx-render[bench]
+python samples/detail.py [--models m,s] [--frames 16] [--noise 0.5] [--pan 0.31,0.13]     needs the extra 'bench'
 
 A plane has three parts: fine detail in the albedo, the same in the light, and edges of shadows. Methods:
 

@@ -3,7 +3,7 @@
 python samples/leave_alone.py [COUNT_OF_FRAMES]
 
 Prints, for each noise (standard deviation over the sky's own light), the PSNR in dB of the sky in the windows, exposed
-for the sky, and the share of the picture that 'auto' leaves alone. pip install 'postfx-render[bench]'
+for the sky, and the share of the picture that 'auto' leaves alone. pip install '.[bench]'
 """
 
 import sys

@@ -8,7 +8,7 @@ x/(1+x) and the sRGB curve, relMSE of light, and flicker, also of temporal.onnx 
 `python -m training.datagen.make_sample views`: both, as they are and without the noise of the reference, which its two
 halves tell, also of the mean of what shading.onnx makes of planes through several positions in the pixel; and how many
 samples a pixel have the relMSE of amplifier.onnx, by a stack of independent one-sample images. Prints milliseconds a
-frame; draws frames. Needs matplotlib, postfx-render[bench].
+frame; draws frames. Needs matplotlib, the extra 'bench'.
 """
 import argparse
 import statistics

@@ -1,6 +1,6 @@
 """Pictures of the documentation that show tools: exposure boards, curves and views, a report, and a captured network.
 
-python samples/site_pictures.py FOLDER      needs Chromium, onnx and postfx-render[bench] for the last two
+python samples/site_pictures.py FOLDER      needs Chromium, onnx and the extra 'bench' for the last two
 
 Writes board.png, curve.png, false_colour.png, zebra.png, report.jpg and capture_network.png.
 """

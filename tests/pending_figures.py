@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 PENDING: dict[str, tuple[str, ...]] = {
-    "docs/howto/partner.md": (
+    "docs/lab/partner.md": (
         "What it gains",
         "How it is mixed",
     ),
     "README.md": (
         "postfx",
-        "Why believe it",
     ),
     "docs/concepts/architecture.md": (
         "Why a kernel has more than one form",
     ),
-    "docs/concepts/denoiser.md": (
+    "docs/lab/denoising.md": (
         "The denoised upscaler",
         "How a frame is made",
         "Trust in guides",
@@ -32,7 +31,7 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Precisions",
         "Training",
     ),
-    "docs/concepts/tonemap.md": (
+    "docs/lab/tonemap.md": (
         "The looks",
         "How a frame is tone-mapped",
         "Following the light",
@@ -75,7 +74,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Ray",
     ),
     "docs/howto/hosts.md": (
-        "Blender",
         "ComfyUI",
     ),
     "docs/howto/index.md": (
@@ -96,10 +94,7 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Measured",
     ),
     "docs/howto/parts.md": (
-        "How the sum is kept",
         "Fireflies",
-        "Alpha",
-        "Measured",
         "Limits",
     ),
     "docs/howto/passes.md": (
@@ -108,7 +103,7 @@ PENDING: dict[str, tuple[str, ...]] = {
     "docs/howto/report.md": (
         "What the page holds",
     ),
-    "docs/howto/training_data.md": (
+    "docs/lab/training_data.md": (
         "Clips by Blender's Cycles",
         "Clips by formula",
         "What is drawn",
@@ -116,7 +111,7 @@ PENDING: dict[str, tuple[str, ...]] = {
     "docs/index.md": (
         "postfx",
     ),
-    "docs/interpolation.md": (
+    "docs/lab/interpolation.md": (
         "How it works",
         "Cuts, still frames and holes",
         "Measured",
@@ -170,6 +165,9 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Kernels on a GPU",
     ),
     "docs/lab/parts.md": (
+        "How the sum is kept",
+        "How alpha keeps thin hairs",
+        "Light groups in a room",
         "Alpha",
         "Light groups and passes of Cycles",
     ),
@@ -185,13 +183,13 @@ PENDING: dict[str, tuple[str, ...]] = {
         "More threads for the host's part",
         "Sixteen threads",
     ),
-    "docs/measured/benchmark.md": (
+    "docs/lab/benchmark.md": (
         "Methods",
         "Figures",
         "Validation set",
         "Convergence",
     ),
-    "docs/measured/install.md": (
+    "docs/lab/install.md": (
         "Kernels in C++",
         "Installation",
         "Why Numba stays",
@@ -201,15 +199,15 @@ PENDING: dict[str, tuple[str, ...]] = {
         "On a CPU",
         "On a GPU",
     ),
-    "docs/measured/stability.md": (
+    "docs/lab/stability.md": (
         "Bounds",
         "Long sequences",
     ),
-    "docs/neural.md": (
+    "docs/lab/networks.md": (
         "Time beside PyTorch",
         "Ambient occlusion",
     ),
-    "docs/quality.md": (
+    "docs/lab/quality.md": (
         "Quality",
         "Three sequences",
         "Against the best of the others",
@@ -228,9 +226,7 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Unusual content",
         "Failure cases",
     ),
-    "docs/reference/reliability.md": (
-        "Resuming",
-        "Models",
+    "docs/lab/reliability.md": (
         "Bad pixels",
         "Hard inputs",
         "Faults",
@@ -241,12 +237,10 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Renderers",
         "Motion",
     ),
-    "docs/runtime.md": (
+    "docs/lab/runtime.md": (
         "CUDA",
         "Arrays of other libraries",
         "Other execution providers",
-        "Barriers",
-        "Capture",
         "Inside a network",
         "A memory budget",
         "Threads",
@@ -254,13 +248,10 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Where the time of a frame goes",
         "How time grows",
     ),
-    "docs/start/blender.md": (
-        "Switch on",
-    ),
     "docs/start/browser.md": (
         "In the browser",
     ),
-    "docs/training.md": (
+    "docs/lab/training.md": (
         "The yardstick",
         "Rendering and training at once",
         "Where kornia is used",

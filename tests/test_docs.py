@@ -114,7 +114,7 @@ def test_the_examples_cuda_source_computes_what_its_rows_do(vignette, monkeypatc
 def test_the_runtime_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = {}
-    first, again, inside, transient, capture = blocks("runtime.md", "python")
+    first, again, inside, transient, capture = blocks("concepts/runtime.md", "python")
     exec(first, names)
     assert np.isfinite(names["grid"].array).all() and names["grid"].array.any()
     exec(again, names)
@@ -177,6 +177,6 @@ def test_the_display_example_runs(tmp_path, monkeypatch):
 
 def test_the_presenter_of_the_page_shows_all(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (code,) = (block for block in blocks("interpolation.md", "python") if "Presenter" in block)
+    (code,) = (block for block in blocks("howto/interpolation.md", "python") if "Presenter" in block)
     exec(code, {})
     assert "every 8.33 ms" in capsys.readouterr().out and (tmp_path / "pacing.png").is_file()

@@ -4,6 +4,7 @@ A document says where its figures come from, from a comment to the next one, the
 
     <!-- measured: NAME, NAME -->   figures are in docs/measured/runs/NAME.txt, by `python -m training.measure.record`
     <!-- given -->                  figures are settings, limits in the code, or what others have published
+    <!-- from: lab/NAME.md -->      figures are those of that page below docs/, which says where they come from
 
 A figure is a number with a unit, and any number with a decimal point in a table. Code blocks do not count: other tests
 run them. Sections in `PENDING` have figures from before there were sources. Take a section off the list once it has its
@@ -26,19 +27,21 @@ from training.measure.record import NUMBER, RUNS, Run, agrees, is_same, load, ru
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-MARK = re.compile(r"<!-- (?:measured: ([\w, ]+)|(given)) -->")
+MARK = re.compile(r"<!-- (?:measured: ([\w, ]+)|(given)|from: ([\w/.]+)) -->")
 UNITS = r"dB|EV|ms|s|%|MiB|GiB|MB|GB|KB|KiB|seconds|minutes|min|hours|samples|times|x(?![\dx])|frames a second"
 FIGURE = re.compile(rf"({NUMBER.pattern}) ?(?:{UNITS})(?![\w-])")
 CELL = re.compile(r"(?<![\w.])[+-]?\d+\.\d+(?![\w.])")
 
 
 class Part(NamedTuple):
-    """A part of a page with one source: `sources` are names of runs, None where nothing is said."""
+    """A part of a page with one source: `sources` are names of runs, None where nothing is said; `copied` is the page
+    whose figures it repeats."""
 
     section: str
     sources: tuple[str, ...] | None
     is_given: bool
     text: str
+    copied: str = ""
 
     def figures(self) -> list[str]:
         found = [match[1] for match in FIGURE.finditer(self.text)]
@@ -53,12 +56,12 @@ def parts_of(text: str) -> Iterator[Part]:
     for block in filter(None, re.split(r"(?m)^(?=#)", text)):
         title = block.partition("\n")[0].lstrip("# ") if block.startswith("#") else ""
         sources: tuple[str, ...] | None = None
-        is_given, start = False, 0
+        is_given, copied, start = False, "", 0
         for mark in MARK.finditer(block):
-            yield Part(title, sources, is_given, block[start:mark.start()])
+            yield Part(title, sources, is_given, block[start:mark.start()], copied)
             sources, is_given = tuple(re.split(", *", mark[1])) if mark[1] else None, bool(mark[2])
-            start = mark.end()
-        yield Part(title, sources, is_given, block[start:])
+            copied, start = mark[3] or "", mark.end()
+        yield Part(title, sources, is_given, block[start:], copied)
 
 
 def sections_without_source() -> dict[str, list[str]]:
@@ -67,7 +70,7 @@ def sections_without_source() -> dict[str, list[str]]:
     for page in PAGES:
         for part in parts_of(page.read_text(encoding="utf-8")):
             name = page.relative_to(ROOT).as_posix()
-            if part.sources is None and not part.is_given and part.figures() and \
+            if part.sources is None and not (part.is_given or part.copied) and part.figures() and \
                     part.section not in found.get(name, []):
                 found.setdefault(name, []).append(part.section)
     return found
@@ -76,9 +79,10 @@ def sections_without_source() -> dict[str, list[str]]:
 def test_a_part_s_figures_are_found() -> None:
     page = ("# One\n1.5 dB of `2 dB`\n<!-- measured: a, b -->\n| 3 | 4.25 |\n\n    5 dB\n\n6 % and 7x8\n"
             "<!-- given -->\n8 EV\n## Two\n9x, 1.5 of it\n")
-    found = [(part.section, part.sources, part.is_given, part.figures()) for part in parts_of(page)]
-    assert found == [("One", None, False, ["1.5"]), ("One", ("a", "b"), False, ["6", "4.25"]),
-                     ("One", None, True, ["8"]), ("Two", None, False, ["9"])]
+    found = [(*part[:3], part.figures(), part.copied) for part in parts_of(page + "<!-- from: lab/a.md -->\n7 %\n")]
+    assert found == [("One", None, False, ["1.5"], ""), ("One", ("a", "b"), False, ["6", "4.25"], ""),
+                     ("One", None, True, ["8"], ""), ("Two", None, False, ["9"], ""),
+                     ("Two", None, False, ["7"], "lab/a.md")]
 
 
 def test_figures_are_rounded_numbers_of_a_run() -> None:
@@ -108,6 +112,16 @@ def test_figures_are_those_of_their_sources(page: Path) -> None:
             runs = [load(name) for name in part.sources]
             lost = [figure for figure in part.figures() if not any(made.has(figure) for made in runs)]
             assert not lost, f"{page.name}, {part.section}: not in {', '.join(part.sources)}"
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if "<!-- from:" in page.read_text(encoding="utf-8")],
+                         ids=lambda page: page.stem)
+def test_figures_that_are_repeated_are_those_of_their_page(page: Path) -> None:
+    for part in parts_of(page.read_text(encoding="utf-8")):
+        if part.copied:
+            made = Run({}, (ROOT / "docs" / part.copied).read_text(encoding="utf-8"))
+            lost = [figure for figure in part.figures() if not made.has(figure)]
+            assert not lost, f"{page.name}, {part.section}: not in {part.copied}"
 
 
 def test_every_source_says_where_it_is_from_and_is_used() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import postfx
+from postfx import version
 from postfx.cli import find_namesake
 from postfx.version import DISTRIBUTION, pip_install
 
@@ -22,8 +23,18 @@ TEXTS = [path for folder in ("docs", "hosts", "postfx", "samples", "training") f
 def test_the_project_says_the_name_that_messages_say():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert project["name"] == DISTRIBUTION
-    assert pip_install("cuda") == "pip install 'postfx-render[cuda]'"
     assert {"cuda", "capture", "ray", "bench"} <= set(project["optional-dependencies"])
+
+
+def test_people_are_told_what_works_now(monkeypatch):
+    """A checkout or a wheel, until the package index has the package: one constant says so."""
+    monkeypatch.setattr(version, "IS_PUBLISHED", True)
+    assert pip_install("cuda") == "pip install 'postfx-render[cuda]'" and pip_install() == "pip install 'postfx-render'"
+    monkeypatch.undo()
+    assert version.IS_PUBLISHED or pip_install("cuda").startswith("pip install '.[cuda]' in a checkout of postfx")
+    lines = [f"{path}: {line}" for path in TEXTS for line in path.read_text(encoding="utf-8").splitlines()
+             if re.search(rf"pip install( -\S+)* ['\"]?{DISTRIBUTION}", line)]
+    assert version.IS_PUBLISHED or lines == []
 
 
 def test_no_text_has_people_install_the_other_package():
@@ -72,7 +83,7 @@ def test_the_other_package_beside_this_one_is_told_in_one_line(site, is_last, sc
     done = subprocess.run([sys.executable, "-c", script], env=environment, cwd=site, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert done.stderr.startswith("error: postfx 1.1.0, another package of that name, shares the folder ")
-    assert done.stderr.endswith("pip uninstall postfx postfx-render, then pip install postfx-render\n")
+    assert done.stderr.endswith(f"pip uninstall postfx postfx-render, then {pip_install()}\n")
 
 
 def test_this_package_is_not_taken_for_the_other(tmp_path):

@@ -193,7 +193,7 @@ def test_guides_that_nobody_brought_cannot_be_left():
 @pytest.mark.parametrize(("guides", "line"), [
     (GUIDES, "guides  12x20, used: diffuse_albedo"),
     (GuideSpec(12, 20, (Role.DEPTH,)), "guides  12x20, not used"),
-    (None, "guides  none: planes at output size would make edges exact (--guides)"),
+    (None, "guides  none: albedo, normals and depth at output size would make edges sharper (--guides)"),
 ])
 def test_text_says_whether_guides_are_used(guides, line):
     lines = str(make_plan([toys.AddGuide()], FrameSpec(6, 10, (Role.COLOUR,), guides=guides))).splitlines()

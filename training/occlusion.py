@@ -4,7 +4,7 @@
     python -m training.occlusion VIEWS MODELS [--steps 6000]
 
 Trains on the views and writes MODELS/occlusion.onnx, with weights in half precision (that of samples/ learned for 9300
-steps; docs/neural.md has all commands). It reads what
+steps; docs/lab/networks.md has all commands). It reads what
 postfx/kernels/occlusion.py reads and writes: normals in camera space (h, w, 3), depth (h, w, 1), the camera (12,), and
 GTAO's visibility (h, w), raw and smooth; sides are multiples of 16. It adds a correction to the smooth one.
 `samples/occlusion.py` measures it. One scene in 12 is never learnt from; their PSNR is printed.

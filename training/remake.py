@@ -203,7 +203,7 @@ def options() -> argparse.ArgumentParser:
     made.add_argument("--clips", type=Path, help="train on these clips; nothing is rendered")
     made.add_argument("--scenes", help="folder of real scenes and environments, from training/datagen/pack_scenes.sh")
     made.add_argument("--blender", help="a Python with the module bpy, which renders with Cycles")
-    made.add_argument("--library", help="folder of scenes and environments for Cycles, see docs/howto/training_data.md")
+    made.add_argument("--library", help="folder of scenes and environments for Cycles, see docs/lab/training_data.md")
     made.add_argument("--photos", help="HDR photographs (a pattern)")
     made.add_argument("--panoramas", help="equirectangular HDR environments (a pattern)")
     made.add_argument("--gpus", default="0", help="numbers of the GPUs that render, separated by commas")

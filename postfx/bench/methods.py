@@ -105,7 +105,7 @@ def catalogue(models: Iterable[str], device: str, guides: bool, motion: bool, lo
         omissions += [Omission(made[0].title, reason)] if reason else []
     for method in OTHERS:
         if method.accumulated and not motion:
-            omissions.append(Omission(method.title, "the frames have no motion plane"))
+            omissions.append(Omission(method.title, "the frames have no motion vectors"))
         else:
             methods.append(method)
     return Catalogue(tuple(methods), tuple(omissions))

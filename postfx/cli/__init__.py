@@ -3,7 +3,7 @@
 import os  # not pathlib, which would take a tenth of the time of --help
 import sys
 
-from postfx.version import DISTRIBUTION
+from postfx.version import DISTRIBUTION, pip_install
 
 
 def find_namesake(site: str) -> str | None:
@@ -21,5 +21,5 @@ def find_namesake(site: str) -> str | None:
 _SITE = os.path.abspath(os.path.join(__file__, "../../.."))
 if _namesake := find_namesake(_SITE):  # whichever was installed last: ours is not whole any more
     print(f"error: {_namesake}, another package of that name, shares the folder {os.path.join(_SITE, 'postfx')} with "
-          f"{DISTRIBUTION}: pip uninstall postfx {DISTRIBUTION}, then pip install {DISTRIBUTION}", file=sys.stderr)
+          f"{DISTRIBUTION}: pip uninstall postfx {DISTRIBUTION}, then {pip_install()}", file=sys.stderr)
     sys.exit(2)

@@ -13,21 +13,22 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 DESCRIPTION = """\
-Find what is wrong with a sequence: reads up to eight consecutive frames from the first one (or the first of --frames),
-and checks albedos, normals, roughness, depth, motion, jitter, cuts, exposure and noise. Motion is tried in all common
-variants (signs, axes, units, with jitter) by warping, and the best one is named. Each finding says what was measured,
-the likely cause and the fix. What --depth says is taken as true and then checked like everything else.
-After the findings: the renderer profile, sizes, every plane with its channels and values, what is missing, planes at
-output size, and the camera.
+Find what is wrong with a sequence. Up to eight consecutive frames are read, from the first one or the first of
+--frames. Albedos, normals, roughness, depth, motion, jitter, cuts, exposure and noise are checked. Motion vectors are
+tried in all common conventions (signs, axes, units, with jitter), and the one that fits best is named. Each finding
+says what was measured, the likely cause and the fix.
+
+After the findings come the renderer's profile, sizes, every AOV with its channels and values, what is missing, guides
+and the camera.
 """
 EXAMPLES = """\
 examples:
   postfx inspect shot/noisy.####.exr
-  postfx inspect shot/noisy.####.exr --pictures look/       # one PNG a plane
+  postfx inspect shot/noisy.####.exr --pictures look/       # one PNG for each AOV
   postfx inspect shot/noisy.####.exr --report shot.html     # everything on one page
   postfx inspect shot/ --profile studio.toml --frames 12-20
   postfx inspect shot/noisy.####.exr --guides shot/guides.####.exr
-  postfx inspect shot/noisy.####.exr --depth reversed,near=0.1    # is that what the plane holds?
+  postfx inspect shot/noisy.####.exr --depth reversed,near=0.1    # is that what the AOV holds?
   postfx inspect shot/noisy.####.exr --json | python -m json.tool
 
 exit codes: 0 fine; 1 warnings only; 2 at least one error; 130 interrupted. Wrong arguments and a first frame that
@@ -38,15 +39,16 @@ cannot be read also give 2, with one line on standard error and nothing on stand
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
     INPUT.add_to(parser)
-    parser.add_argument("--guides", metavar="GUIDES", help="files of planes at output size, as for 'postfx run'")
-    parser.add_argument("--frames", metavar="RANGE", help="frames of interest, e.g. 12 or 1-100")
+    parser.add_argument("--guides", metavar="GUIDES", help="AOVs at output size, as for 'postfx run'")
+    parser.add_argument("--frames", metavar="RANGE", help="frames to check, e.g. 12 or 1-100: the first eight of them")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
     DEPTH.add_to(parser)
     FILES.add_to(parser)
-    parser.add_argument("--pictures", metavar="DIR", help="write a picture of every plane of the first frame there")
+    parser.add_argument("--pictures", metavar="DIR",
+                        help="write a picture of every AOV of the first frame to this folder")
     parser.add_argument(
-        "--report", metavar="HTML", help="write a page that opens from the disk and needs no network: frames with an "
-        "exposure slider, curves, findings and a picture of every plane",
+        "--report", metavar="HTML", help="write an HTML page that needs no network: frames with an exposure slider, "
+        "curves, findings and a picture of every AOV",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

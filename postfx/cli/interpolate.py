@@ -28,9 +28,9 @@ Make new frames between those of a sequence: twice as many, or for another frame
 each pixel from both frames to the new time; without vectors, motion is estimated from the pictures. Light stays
 scene-linear: interpolate renders or denoised frames, before tone mapping.
 
-The new sequence is numbered from the first frame's number on. Frame rate and time code in the headers follow. Across a
-cut, and where nothing changes, the nearer frame is repeated. Beside a missing frame there are no new ones. Both cases
-are reported with the reason.
+The new sequence is numbered from the first frame's number on. Frame rate and time code in the headers are adapted.
+Across a cut, and where nothing changes, the nearer frame is repeated. No frames are made beside a missing one. Both
+cases are reported with the reason.
 """
 EXAMPLES = """\
 examples:

@@ -21,7 +21,7 @@ VERBS = {
     "merge": "merge renders that differ in their seed, weighted by samples",
     "chunks": "cut a sequence into chunks for the machines of a farm",
     "verify": "check that the files of a run are there, whole and unaltered",
-    "inspect": "find what is wrong with a sequence's planes",
+    "inspect": "find what is wrong with a sequence's AOVs",
     "config": "show the defaults that postfx.toml sets",
     "exposure": "measure whether the exposure is right and steady",
     "bench": "measure run time against error on a sequence with references",
@@ -101,7 +101,7 @@ def _place_of_run_options(parser: argparse.ArgumentParser, word: str) -> str:
     verb, flag = parser.prog.split()[-1], word.partition("=")[0]
     if verb not in FORWARDING or flag not in {name for option in RUN for name in (option.flag, option.short)}:
         return ""
-    return f": options of 'postfx run' go behind --, as in: postfx {verb} ... -- {word}"
+    return f": options of 'postfx run' go after --, as in: postfx {verb} ... -- {word}"
 
 
 def make_parser(used: Collection[str] = tuple(VERBS)) -> argparse.ArgumentParser:

@@ -7,9 +7,9 @@ import json
 from typing import Any
 
 DESCRIPTION = """\
-List the models that are installed, with what their cards say. --model TAG takes PASS.TAG.int8 (integers) on a CPU and
-PASS.TAG.fp16 (half precision) on a GPU if they exist, else PASS.TAG; --model TAG.fp32 takes PASS.TAG. Variants .guides
-run whenever there are planes at output size, and variants .1x whenever the output has the render's size."""
+List the installed models with the summaries of their cards. --model TAG chooses the fastest variant for the device:
+PASS.TAG.int8 (integers) on a CPU, PASS.TAG.fp16 (half precision) on a GPU, else PASS.TAG. --model TAG.fp32 chooses
+PASS.TAG. Variants .guides run when there are guides, and variants .1x when the output has the render's size."""
 EXAMPLES = """\
 examples:
   postfx models

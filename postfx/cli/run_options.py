@@ -65,33 +65,35 @@ FRAMES = Section("frames", (
     Option(flag="--output", short="-o", basic=True, once=True, metavar="OUTPUT", changes="nothing",
            help="files to write: a pattern like out/clean.####.exr, a folder or one file"),
     Option(flag="--frames", basic=True, once=True, metavar="RANGE", changes="nothing",
-           help="frames to process, e.g. 1-100, 1-100x2 or 1,5,8-12; from below 0 as --frames=-10-20"),
+           help="frames to process, e.g. 1-100, 1-100x2 (every second one) or 1,5,8-12; negative numbers as "
+           "--frames=-10-20"),
     Option(flag="--overwrite", basic=True, either="existing", changes="nothing",
            help="replace output files that are there"),
     Option(flag="--skip-existing", basic=True, either="existing", changes="nothing",
-           help="keep output files that are complete, and continue from there with the same pixels"),
+           help="keep output files that are complete, and continue after them with the same pixels as an unbroken run"),
     Option(flag="--guides", once=True, metavar="GUIDES", sets="sequence.guides", is_file=True,
-           help="frames of planes at output size, named like INPUT and numbered alike"),
+           help="albedo, normal, roughness or depth at output size, in files numbered like INPUT"),
     Option(flag="--preroll", once=True, metavar="N|auto", type=_parse_preroll, off=0, sets="run.preroll",
            changes="nothing",
-           help="frames to process without writing before the first one of the range, for a history; auto for those of "
-           "its shot, at most 96 (default); 0 for none"),
+           help="frames before the range to process without writing them, so that its first frame has a history: a "
+           "number, 0 for none, or auto for those of its shot, at most 96 (default)"),
     Option(flag="--on-error", choices=("stop", "skip", "copy"), default="stop", changes="nothing",
-           help="what to do with a frame that cannot be read or processed: end the run (default), write no file, or "
-           "only enlarge its picture. The last two go on, and the run exits with 3"),
+           help="when a frame cannot be read or processed: stop ends the run (default), skip writes no file for it, "
+           "copy writes it enlarged but not denoised. After skip or copy the run exits with 3"),
 ))
 
 FILES_WRITTEN = Section("files that are written", (
     Option(flag="--keep", choices=("auto", "all", "none"), default="auto", off="auto", sets="writer.keep",
            convert={"auto": None, "all": True, "none": False}.get,
-           help="whether EXR output keeps everything else in the input (channels, parts, header): auto, bit for bit, "
-           "if the picture has the input's size (default); all, also enlarged by the nearest pixel; none"),
+           help="what EXR output keeps of the input's other channels, parts and header: auto, everything, bit for "
+           "bit, at the render's size (default); all, at other sizes, too, enlarged by the nearest pixel; none"),
     Option(flag="--bits", metavar="N", type=parse_positive, sets="writer.bits",
-           help="bits of a channel: EXR 16 (half floats, default) or 32 (floats, default with --aov-denoise depth or "
-           "position), PNG 8 (default) or 16 (default in HDR), TIFF 8 or 16 (default)"),
+           help="bits of a channel. EXR: 16 (half floats, default) or 32 (floats, default with --aov-denoise depth or "
+           "position); PNG: 8 (default) or 16 (default in HDR); TIFF: 8 or 16 (default)"),
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
-           help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab or, with a level, "
-           "dwaa:45 (default: zip, the fastest that shrinks; the last five lose a little)"),
+           help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa or dwab, the last two "
+           "also with a level as dwaa:45. From pxr24 on they lose a little (default: zip, the fastest of those "
+           "that shrink files)"),
 ))
 
 
@@ -121,7 +123,7 @@ def explain_kept(
         return f"keeps   {count} bit for bit (--keep none leaves them out)", []
     if arguments.keep == "all":
         return f"keeps   {count}, enlarged by the nearest pixel, without the render's own colour", []
-    return "", [Skip(count, "they have the render's size; --keep all enlarges them by the nearest pixel")]
+    return "", [Skip(count, "they have the render's size; --keep all enlarges them")]
 
 
 # Logs and resuming
@@ -141,14 +143,14 @@ def _parse_rerun(text: str) -> str | int:
 
 LOGS = Section("logs and resuming", (
     Option(flag="--log", once=True, metavar="FILE", type=parse_path, sets="run.log", changes="nothing",
-           help="append one JSON object a line for each frame and event (docs/reference/reliability.md)"),
+           help="append one JSON object a line for each frame and event (docs/lab/reliability.md)"),
     Option(flag="--checkpoint", metavar="SECONDS", type=_parse_seconds, default=30.0, sets="run.checkpoint",
            changes="nothing",
-           help="save the history of the passes in OUTPUT's folder every so many seconds of work, and when the run is "
-           "stopped: --skip-existing continues from there. 0: every frame; none: never (default: 30)"),
+           help="seconds of work between two saves of the history in OUTPUT's folder, from which --skip-existing "
+           "continues; it is also saved when the run is stopped. 0: every frame; none: never (default: 30)"),
     Option(flag="--resume", once=True, metavar="exact|N", type=_parse_rerun, default=_EXACT, sets="run.rerun",
            convert=lambda rerun: None if rerun == _EXACT else rerun, changes="nothing",
-           help="with --skip-existing: how many finished frames to run again, without writing them: exact, as many as "
+           help="with --skip-existing, how many finished frames to run again without writing them: exact, as many as "
            "the pixels of an unbroken run need (default), or at most N"),
 ))
 
@@ -164,12 +166,12 @@ TONEMAP = Option(
     "$OCIO or the built-in ACES 2 config; VIEW@DISPLAY names a display, too",
 )
 NO_TONEMAP = Option(flag="--no-tonemap", either="look", sets="look.no_tonemap",
-                    help="make pictures without a look: expose, clip and encode for the display")
+                    help="make pictures without a look: apply the exposure, clip, and encode for the display")
 DISPLAY = Option(
     flag="--display", metavar="NAME", sets="look.display",
-    help="display to make pictures for: srgb (default), p3, rec709, rec2020, or for HDR pq or hlg, e.g. "
-    "pq,peak=1000,white=203 (nits of the brightest light and of diffuse white). Networks know SDR only: their white "
-    "becomes diffuse white",
+    help="display to make pictures for: srgb (default), p3, rec709, rec2020, or in HDR pq or hlg, e.g. "
+    "pq,peak=1000,white=203 (nits of the brightest light and of diffuse white). Learned looks are SDR: their "
+    "white becomes diffuse white",
 )
 LOOK = (TONEMAP, NO_TONEMAP, DISPLAY)
 """Options that say what pictures look like."""
@@ -215,32 +217,34 @@ def _list_passes() -> str:
 
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
-           help="preview: the fastest, --model s without a run-up, --preroll 0; final: the cleanest, --both-ways "
-           "--with auto; animation: steady in brightness, --both-ways --exposure smooth. Options that you give "
-           "yourself win"),
+           help="preview: the fastest (--model s --run-up 0 --preroll 0); final: the cleanest (--both-ways --with "
+           "auto); animation: steady brightness (--both-ways --exposure smooth). Options that you give yourself "
+           "win"),
     Option(flag="--scale", basic=True, metavar="S", type=float, either="size", sets="denoiser.scale",
            excludes=_FOR_DENOISER,
-           help="output size over render size, 1 to 3; 2 makes frames twice as large (default: 1, or the guides' "
+           help="output size over render size, 1 to 3, e.g. 2 for frames twice as large (default: 1, or the guides' "
            "size)"),
     Option(flag="--denoise-only", basic=True, either="size", sets="denoiser.scale", convert=lambda _: 1.0,
-           excludes=_FOR_DENOISER, help="keep the render's size also beside larger guides; the same as --scale 1"),
+           excludes=_FOR_DENOISER,
+           help="keep the render's size even if there are larger guides; the same as --scale 1"),
     Option(flag="--size", metavar="WxH", type=parse_size, either="size", sets="denoiser.size",
            excludes=_FOR_DENOISER,
-           help="size of the output with all overscan, e.g. 1920x1080: frames may change their size between it and a "
-           "third of it"),
-    Option(flag="--no-denoise", help="leave denoising and upscaling out"),
+           help="size of the output, overscan included, e.g. 1920x1080. The render's size may then change from frame "
+           "to frame, down to a third of it"),
+    Option(flag="--no-denoise",
+           help="do not denoise or enlarge"),
     Option(flag="--model", basic=True, metavar="TAG|FILE", sets="denoiser.model", convert=_find_network,
            excludes=_FOR_DENOISER,
-           help="network of the denoiser: s, m (default) or l, in the device's fast precision or in a given one, e.g. "
-           "m.fp32 ('postfx models' lists all); or FILE.onnx with its card beside it. The word classic filters without "
-           "a network"),
+           help="network of the denoiser: s (the fastest), m (default) or l (the largest), as m.fp32 in full "
+           "precision; FILE.onnx with its card beside it; or classic, a filter without a network. 'postfx "
+           "models' lists all"),
     Option(flag="--both-ways", basic=True,
            excludes={
                **_FOR_DENOISER,
                "--budget": "--both-ways runs every frame twice, --budget keeps to a time: give one of them",
                "--memory": "--both-ways keeps results of 32 frames, --memory keeps to a size: give one of them",
            },
-           help="also denoise the sequence in reverse order and mix both results: cleaner frames, the first ones most; "
+           help="also denoise the sequence backwards, and mix both results: cleaner frames, above all a shot's first; "
            "takes two to three times as long"),
     Option(flag="--with", metavar="PASS[,OPTION=VALUE]", default="none", off="none",
            excludes={
@@ -248,8 +252,8 @@ DENOISING = Section("denoising and size", (
                "--budget": "--with runs another denoiser, --budget keeps to a time: give one of them",
                "--memory": "--with runs another denoiser, --memory keeps to a size: give one of them",
            },
-           help="run another denoiser, too, and mix both results: oidn (Open Image Denoise, of the extra 'oidn'), or "
-           "any pass that keeps the frame's size; auto for oidn where it is installed; none (default)"),
+           help="also run another denoiser, and mix both results: oidn (Open Image Denoise; needs the extra 'oidn'), "
+           "any pass that keeps the frame's size, auto (oidn if it is installed) or none (default)"),
     Option(flag="--run-up", metavar="N", type=parse_count, off=0,
            excludes={
                "--no-denoise": "--run-up runs frames more than once, --no-denoise has no denoiser to run up: give one "
@@ -258,26 +262,27 @@ DENOISING = Section("denoising and size", (
                "anyway: give one of them",
                "--budget": "--run-up runs frames more than once, --budget keeps to a time: give one of them",
            },
-           help="run the N frames after a shot's first one before it, in reverse order: the first frame is then as "
-           "clean as the others; 0 for none (default: 8; none with --both-ways or --budget)"),
+           help="begin a shot by running the N frames after its first one, in reverse order. The first frame is then "
+           "as clean as the others. 0 for none (default: 8; none with --both-ways or --budget)"),
     Option(flag="--budget", metavar="MS", type=float, sets="denoiser.budget", excludes=_FOR_DENOISER,
-           help="milliseconds that denoising a frame may take: smaller networks run where --model is too slow"),
+           help="longest time to denoise a frame, in milliseconds: a smaller network runs where --model would take "
+           "longer"),
     Option(flag="--strength", metavar="S", type=float, sets="denoiser.strength", excludes=_FOR_DENOISER,
-           help="how strongly to denoise: 0 (only resample) to 1 (fully), times the plane 'strength' if there is one "
-           "(default: 1)"),
+           help="how strongly to denoise, from 0 (only resample) to 1 (default), times the AOV 'strength' if there is "
+           "one"),
     Option(flag="--motion", choices=("auto", "file", "estimate"), default="auto", off="auto", sets="sequence.motion",
            excludes=_FOR_DENOISER,
-           help="where motion vectors come from: auto, the files, or an estimate from albedo, normal and depth if "
-           "files have none, or zeros although the picture moves (default); file, the files alone; estimate, always "
-           "an estimate"),
+           help="where motion vectors come from: auto, the files, or an estimate if the files have none, or zeros "
+           "although the picture moves (default); file, only the files; estimate, always an estimate. Estimates "
+           "use albedo, normals and depth"),
     Option(flag="--clamp-fireflies", metavar="N", type=float, sets="sequence.clamp_fireflies", excludes=_FOR_DENOISER,
-           help="before denoising, darken pixels more than N times (such as 8) as bright as the third brightest of the "
-           "24 around them; the run says how much light that took"),
+           help="before denoising, darken pixels that are more than N times (such as 8) as bright as the third "
+           "brightest of the 24 around them; the run prints how much light that took"),
     Option(flag="--reactive", metavar="KIND[,NAME=NUMBER]", sets="denoiser.reactive",
            excludes=_FOR_DENOISER,
-           help="where the history is not used, as for particles: plane (the plane 'reactive'), difference (colour "
-           "against the plane 'opaque_colour'), auto (the first of these that is there, default) or none. The "
-           "difference has scale= and threshold=, e.g. auto,scale=8"),
+           help="how to find pixels that have no motion vectors of their own, such as particles, so that they leave no "
+           "ghosts. 'plane' takes the AOV 'reactive'. 'difference' compares colour with the AOV 'opaque_colour', with "
+           "scale= and threshold=. 'auto' takes the first of these that is there (default), 'none' neither"),
 ))
 
 _ERROR = "error"
@@ -300,44 +305,45 @@ def _asks_error(names: str) -> bool:
 
 PARTS = Section("masks and parts of the picture", (
     Option(flag="--leave", metavar="NAMES", sets="sequence.leave", excludes=_FOR_DENOISER,
-           help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, 'auto' for a "
-           "noise-free sky, 'converged:0.01' for pixels with at most 1 %% of error, or 'converged:256spp'. A strength "
-           "may follow =, e.g. auto,sky_*,logo=0.5,7-9@id"),
+           help="what not to denoise: objects or materials of a Cryptomatte, ids of an AOV, auto for a noise-free "
+           "sky, converged:0.01 for pixels whose error is at most 1 %%, or converged:256spp. Add =S to denoise "
+           "with strength S, e.g. auto,sky_*,logo=0.5,7-9@id"),
     Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov", convert=_name_layers,
            also={"denoiser.error": _asks_error}, excludes=_FOR_DENOISER,
            help="light groups and passes to denoise with the picture, so that they still add up to it: names like "
-           "'key,fill,rim', or auto for those that the profile knows (docs/howto/parts.md). The name error adds the "
-           "squared error that the network expects of each pixel"),
+           "key,fill,rim, or auto for those that the renderer is known to write (docs/howto/parts.md). The name "
+           "error adds the squared error that the network expects of each pixel"),
     Option(flag="--aov-denoise", metavar="KIND=LAYER,...", sets="sequence.aov_denoise",
            excludes=_FOR_DENOISER,
-           help="other layers to denoise by the picture's filters, each with its kind, like 'normal=N,mist=Mist': "
-           "albedo, normal, position, depth, mist, shadow or ao; ids and Cryptomattes are never filtered"),
+           help="other layers to denoise with the picture's filters, each with its kind, like normal=N,mist=Mist: "
+           "albedo, normal, position, depth, mist, shadow or ao. Ids and Cryptomattes are never filtered"),
     Option(flag="--aov-filters", choices=("picture", "own"), sets="denoiser.part_filters",
            excludes=_FOR_DENOISER,
-           help="filters for the parts that --aov names: the picture's, or their own, which are cleaner but "
-           "take as long as the picture for each part (default: picture)"),
+           help="filters for the layers of --aov: the picture's (default), or their own, which are cleaner; each "
+           "layer then takes as long as the picture"),
     Option(flag="--no-alpha-denoise", sets="denoiser.alpha", convert=lambda leave: not leave, excludes=_FOR_DENOISER,
-           help="only resample alpha; by default it is denoised in frames with values between 0 and 1"),
+           help="do not denoise alpha, only resample it; by default it is denoised where it has values between 0 and "
+           "1"),
     Option(flag="--overlay", choices=("composite", "separate", "ignore"), default="composite", sets="sequence.without",
            convert=_roles_unread,
-           help="transparency overlay: composite it over the denoised picture, write it as an EXR layer of its own, or "
-           "do not read it (default: composite)"),
+           help="what to do with a transparency overlay: composite it over the denoised picture (default), write it "
+           "as an EXR layer of its own, or ignore it"),
 ))
 
 LOOKS = Section("look", (
     TONEMAP,
     NO_TONEMAP,
     Option(flag="--exposure", basic=True, metavar="auto|smooth|lit|metadata|EV", default="auto",
-           help="exposure of pictures: auto (metered frame by frame, default), smooth (metered on the whole sequence), "
-           "lit (as it was lit: the header's, else 0 EV), metadata (the header's), or a number of stops"),
+           help="exposure of pictures, in stops, or how to find it: auto, metered frame by frame (default); smooth, "
+           "metered on the whole sequence; metadata, from the header; lit, from the header, else 0"),
     DISPLAY,
     Option(flag="--dither", choices=("moving", "static", "none"), default="moving", sets="writer.dither",
-           help="dithering of 8-bit pictures: another pattern each frame (default), always the same, or none"),
+           help="dithering of 8-bit pictures: another pattern in each frame (default), always the same one, or none"),
     Option(flag="--pass", metavar="NAME[,OPTION=VALUE]", repeated=True,
-           help="also run a pass, such as one of another package: before the tone mapping, or where before=PASS or "
+           help="also run a pass, such as one of another package: before tone mapping, or where before=PASS or "
            "after=PASS say, e.g. vignette,amount=0.5,after=tonemap; may be repeated (docs/howto/passes.md)"),
     Option(flag="--passes", changes="nothing", shows=_list_passes,
-           help="list all passes that are installed, with their options, then stop"),
+           help="list all installed passes with their options, then stop"),
 ))
 
 
@@ -368,7 +374,7 @@ def refuse_several_views(arguments: argparse.Namespace, verb: str) -> None:
     from postfx.errors import OptionError
 
     if arguments.view and (arguments.view == "all" or "," in arguments.view):
-        raise OptionError(f"--view {arguments.view}: 'postfx {verb}' looks at one view: give --view with one name")
+        raise OptionError(f"--view {arguments.view}: 'postfx {verb}' uses one view: give --view one name")
 
 
 def refuse_layer(arguments: argparse.Namespace, outputs: OutputFiles | None) -> None:
@@ -395,8 +401,9 @@ def explain_overlay(arguments: argparse.Namespace, files: FrameFiles) -> list[Sk
 
 DEPTH = Option(
     flag="--depth", metavar="KIND[,NAME=NUMBER]", sets="sequence.depth",
-    help="what the depth plane holds: planar, ray, device, reversed, normalised or normalised-reversed, and near, far, "
-    "fov, miss, scale; e.g. reversed,near=0.1 (default: by the profile)",
+    help="what the depth AOV holds: planar (along the view axis), ray (from the eye), device (a depth buffer), "
+    "reversed, normalised or normalised-reversed. Give near, far, fov, miss and scale where needed, e.g. "
+    "reversed,near=0.1 (default: by the profile)",
 )
 
 COLOURSPACE = Option(
@@ -406,11 +413,11 @@ COLOURSPACE = Option(
 )
 
 LAYER = Option(flag="--layer", metavar="NAME", sets="sequence.layer",
-               help="view layer or other layer to read (default: the view layer with the most planes)")
+               help="view layer, or other layer, to read (default: the view layer with the most AOVs)")
 VIEW = Option(flag="--view", metavar="NAMES", sets="sequence.view",
               help="view of stereo files to read, e.g. left (default: the first, or all where INPUT has {view}). "
-              "'postfx run' takes several, left,right or all, each with its own history. It writes them into one EXR, "
-              "or into a file each where OUTPUT has {view}")
+              "'postfx run' takes several, as left,right or all. It writes them into one EXR, or into a file "
+              "each where OUTPUT has {view}")
 FILES = Options(Section("", (COLOURSPACE, LAYER, VIEW)))
 """What every verb that reads frames must let the user say about them."""
 
@@ -433,20 +440,20 @@ def parse_cuts(text: str) -> tuple[int, ...] | None:
 
 READING = Section("reading and running", (
     Option(flag="--profile", metavar="NAME|FILE", type=parse_path, sets="sequence.profile", is_file=True,
-           help="how the renderer names its planes (default: found from the file)"),
+           help="the renderer's names for its AOVs: a built-in profile or a TOML file (default: found from the file)"),
     DEPTH,
     *FILES,
     Option(flag="--cuts", once=True, metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts",
            convert=parse_cuts,
-           help="where shots begin, and the history is dropped: by headers and pictures, nowhere, or at these frames, "
-           "e.g. 1,48,90 (default: auto)"),
+           help="where shots begin; no frame then uses those of another shot: auto, found by headers and pictures "
+           "(default); none; or frame numbers, e.g. 1,48,90"),
     Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", sets="device.name", help="where to run"),
     Option(flag="--provider", once=True, metavar="NAME[,OPTION=VALUE...]", sets="device.provider", changes="rounding",
            help="run networks on an execution provider of ONNX Runtime, with options of its own, e.g. "
-           "OpenVINO,device_type=CPU; library=FILE or PACKAGE loads one that is a plug-in; tensors and kernels stay on "
-           "the CPU"),
+           "OpenVINO,device_type=CPU. library=FILE or PACKAGE loads a provider that is a plug-in. Everything "
+           "else stays on the CPU"),
     Option(flag="--memory", metavar="SIZE", sets="device.memory", changes="rounding",
-           help="limit of the process's memory, e.g. 4G: frames are processed in tiles, and large tensors lie in "
+           help="limit of the process's memory, e.g. 4G: frames are processed in tiles, and large tensors are kept in "
            "temporary files (TMPDIR); CPU only (default: no limit)"),
     Option(flag="--threads", metavar="N", type=parse_positive, sets="device.threads", changes="nothing",
            help="CPU threads (default: all usable cores)"),
@@ -462,21 +469,21 @@ READING = Section("reading and running", (
 
 REPORTS = Section("reports", (
     Option(flag="--dry-run", basic=True, once=True, changes="nothing",
-           help="check everything as a run does, show what would be read, run and written, then stop"),
+           help="check everything as a run would, show what would be read, run and written, then stop"),
     Option(flag="--explain", once=True, changes="nothing",
-           help="show what would run on the first frame and what is skipped, then stop; needs no OUTPUT"),
+           help="show what would run on the first frame, and what is skipped and why, then stop; needs no OUTPUT"),
     Option(flag="--quiet", short="-q", either="words", changes="nothing",
            help="print warnings and errors only"),
     Option(flag="--verbose", short="-v", either="words", changes="nothing",
-           help="also print what is going to run, and how long each pass takes for each frame"),
+           help="also print what is going to run, and the time of each pass in each frame"),
     Option(flag="--json", once=True, changes="nothing", help="print one JSON object on standard output at the end"),
     Option(flag="--report", once=True, metavar="HTML", type=parse_path, sets="page.path", changes="nothing",
            excludes={"--memory": "--report keeps whole frames in memory: leave --memory out"},
-           help="write a page that opens from the disk and needs no network: before and after with an exposure slider, "
-           "curves over the frames, times, what was skipped, findings and a picture of every plane"),
+           help="write an HTML page that needs no network: before and after with an exposure slider, curves over the "
+           "frames, times, what was skipped, mistakes that were found, and a picture of every AOV"),
     Option(flag="--reference", once=True, metavar="FRAMES", sets="page.reference", changes="nothing",
            needs={"--report": "--reference is for --report FILE.html: give both"},
-           help="noise-free frames at output size, numbered like INPUT: the report compares with them, by PSNR and "
+           help="noise-free frames at output size, numbered like INPUT: the report compares with them by PSNR and "
            "FLIP (needs the extra 'bench')"),
 ))
 

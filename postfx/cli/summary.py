@@ -380,8 +380,8 @@ class Report:
                          "these times; they are kept for the next run")
         lines += [f"ran      {name}: {median(times):.1f} ms a frame" for name, times in self.pass_ms.items()]
         if self.ahead_ms:
-            lines.append(f"ran      {_frames(len(self.ahead_ms))} in reverse order, for a history of the first ones: "
-                         f"{median(self.ahead_ms):.1f} ms a frame")
+            lines.append(f"ran      {_frames(len(self.ahead_ms))} first, in reverse order, for the first frames' "
+                         f"history: {median(self.ahead_ms):.1f} ms a frame")
         lines += [f"chose    {name}: {_count_choices(counts)}" for name, counts in self.choices.items()]
         if self.exposure.is_applied and self.exposure.multipliers:
             lines.append(f"exposure {self.exposure}")

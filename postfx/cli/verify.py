@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Check the files of a folder against postfx.manifest.json, which 'postfx run' keeps beside the frames: each must exist
-and have the SHA-256 that it was written with. Also listed are files that a run should have written but did not, and
-files that are named like a run's but were written by none. Nothing is changed.
+and have the SHA-256 that it was written with. It also lists files that a run should have written but did not, and files
+with names like a run's that no run wrote. Nothing is changed.
 """
 EXAMPLES = """\
 examples:

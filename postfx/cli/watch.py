@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Process frames as a renderer writes them, in order, for a preview while the render runs. Networks stay loaded, and each
 frame has the history of the ones before it. A frame counts as written when its files have not changed for --settle
-seconds and can be read. Late frames are waited for. Options of 'postfx run' go behind --.
+seconds and can be read. Late frames are waited for. Options of 'postfx run' go after --.
 
-Frames that exist already come first. Nothing looks ahead here, so a shot's first frames are noisier than those of
-'postfx run'. Make the final frames with that: watch writes no manifest and replaces outputs.
+Frames that exist already come first. A shot's first frames are noisier than with 'postfx run', which also uses the
+frames after them. Make final frames with 'postfx run': watch writes no manifest and replaces outputs.
 """
 EXAMPLES = """\
 examples:
@@ -47,12 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--step", metavar="N", type=parse_positive, default=1,
                         help="step between frames, if the renderer leaves some out (default: 1)")
     parser.add_argument("--idle", metavar="SECONDS", type=parse_from_zero,
-                        help="end after this time without a new frame (default: never)")
+                        help="stop when no new frame has come for this time (default: never)")
     parser.add_argument("--patience", metavar="SECONDS", type=parse_from_zero, default=60.0,
-                        help="how long to wait for a frame while later ones are there; then it is left out (default: "
-                        "60)")
+                        help="how long to wait for a missing frame once later ones are there, before it is left out "
+                        "(default: 60)")
     parser.add_argument("--settle", metavar="SECONDS", type=parse_from_zero, default=0.5,
-                        help="how long a file must not have changed (default: 0.5)")
+                        help="how long a file must stay unchanged to count as written (default: 0.5)")
     parser.add_argument("--json", action="store_true", help="print one JSON object a line for each frame")
     parser.usage = f"{parser.prog} FOLDER -o OUTPUT [--until FRAME] [--idle SECONDS] [--json] [-- RUN OPTIONS]"
 

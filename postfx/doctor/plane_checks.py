@@ -41,7 +41,7 @@ COSTS = {
     Role.DEPTH: Cost(0.10, 0.42),
     Role.MOTION: Cost(1.22, 2.03),
 }
-"""Measured by leaving each plane out of three sequences: the table of ablations in docs/quality.md."""
+"""Measured by leaving each plane out of three sequences: the table of ablations in docs/lab/quality.md."""
 MATTERS_DB = 0.2
 
 FOLLOWING = (Role.MOTION, Role.DEPTH, Role.NORMAL, Role.ROUGHNESS, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
@@ -69,7 +69,7 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
     for role, cost in COSTS.items():
         if role in material.first or role in material.first.guides:
             continue
-        evidence = f"no plane; without it results were {cost.least:.2f} to {cost.most:.2f} dB worse (docs/quality.md)"
+        evidence = f"not in the file; without it results were {cost.least:.2f} to {cost.most:.2f} dB worse"
         maybe = [name for name in material.other_layers if role in _MAY_BE and _MAY_BE[role].search(name)][:MOST_LISTED]
         evidence += f"; in the file, but not read: {'; '.join(maybe)}" if maybe else ""
         where = material.enable.get(role, "")

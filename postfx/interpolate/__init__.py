@@ -3,7 +3,7 @@
 Steps: `paths` lead both frames through the time between them, for cells of a few pixels, and are splatted to the time
 that is asked for; `flow` estimates motion where vectors tell nothing; `choose` decides between the paths that meet, and
 `blend` takes the picture from both frames along them. `timing` says which times, numbers and time codes a sequence
-gets, how light goes on through four of its frames, and keeps that of sparks. docs/interpolation.md.
+gets, how light goes on through four of its frames, and keeps that of sparks. docs/lab/interpolation.md.
 """
 
 from __future__ import annotations

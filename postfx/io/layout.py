@@ -146,7 +146,7 @@ def make_layout(
     if len(found) > 1:
         layout.chosen_layer = layout.layer.rstrip(".")
         others = ", ".join(other.layer.rstrip(".") for other in found if other is not layout)
-        layout.warnings.append(f"view layer {layout.chosen_layer} is read, as it has the most planes; not {others}: "
+        layout.warnings.append(f"view layer {layout.chosen_layer} is read, as it has the most AOVs, not {others}: "
                                "--layer NAME chooses")
     layout.warnings += _colour_warnings(layout)
     return layout

@@ -116,6 +116,10 @@ class Sequence:
         if self.guides and self.guides.pattern.has_views != self.pattern.has_views:
             raise SequenceError(f"{guides}: guides have files for each view where frames do: put {VIEW} into both")
 
+    def __repr__(self) -> str:
+        """The files, and which frames of them."""
+        return f"Sequence({str(self.pattern)!r}, frames={format_frames(self.numbers)!r})"
+
     def __len__(self) -> int:
         return len(self.numbers)
 
@@ -136,7 +140,7 @@ class Sequence:
         """The same frames of the first view alone; a warning names the others."""
         if not self.views:
             return self
-        self.warn(f"view {self.view} is looked at, not {', '.join(self.views)}: --view chooses one")
+        self.warn(f"view {self.view} is used, not {', '.join(self.views)}: --view chooses one")
         return self.reader()
 
     def pictures(self) -> Sequence:
@@ -410,7 +414,7 @@ class Sequence:
     def _is_after_gap(self, number: int, previous: int | None) -> bool:
         if previous is None or previous == number - self._step:
             return False
-        self.warn("frames are not consecutive: history is dropped where one was left out")
+        self.warn("frames are not consecutive: the history begins anew after each gap")
         return True
 
     def warn(self, warning: str) -> None:

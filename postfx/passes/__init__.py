@@ -251,6 +251,12 @@ class Pass:
         self.options: Mapping[str, Any] = MappingProxyType({**self.defaults, **options})
         self._spec: FrameSpec | None = None
 
+    def __repr__(self) -> str:
+        """The call that makes it, with the options that are not the defaults."""
+        said = (f"{name}={value!r}" for name, value in self.options.items()
+                if name not in self.defaults or value is not self.defaults[name] and value != self.defaults[name])
+        return f"{type(self).__name__}({', '.join(said)})"
+
     def __reduce__(self) -> tuple[Callable[..., Pass], tuple[type[Pass], dict[str, Any]]]:
         """Pickled by its options: the copy is not compiled and has no history."""
         return _make_pass, (type(self), dict(self.options))

@@ -54,7 +54,7 @@ class Oidn(Pass):
         return None
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
-        found = [] if self._albedos(spec) else ["no albedo plane, so Open Image Denoise blurs more"]
+        found = [] if self._albedos(spec) else ["no albedo, so Open Image Denoise blurs more"]
         found += [f"parts stay noisy: {', '.join(spec.part_names)}"] if spec.part_names else []
         return tuple(found)
 

@@ -37,7 +37,7 @@ from postfx.version import __version__
 class Log:
     """Appends events to a file as lines of JSON; without a file it does nothing.
 
-    One system call writes a line, so lines of several runs that share a file do not mix. docs/reference/reliability.md
+    One system call writes a line, so lines of several runs that share a file do not mix. docs/lab/reliability.md
     lists the events. Raises WriteError if the file cannot be written.
     """
 

@@ -1,4 +1,4 @@
-"""An ML command encoder over ONNX Runtime, named after Metal 4. See docs/runtime.md."""
+"""An ML command encoder over ONNX Runtime, named after Metal 4. See docs/lab/runtime.md."""
 
 from postfx.errors import (
     BindingError,

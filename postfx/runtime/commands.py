@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future
 from concurrent.futures import wait as wait_for_futures
@@ -10,7 +11,7 @@ from contextlib import contextmanager
 from itertools import groupby
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from postfx.errors import CommandError, EncodingError
+from postfx.errors import CommandError, CommandTimeout, EncodingError
 from postfx.frame import LOG
 from postfx.runtime.capture import CapturableDevice, Recorder
 from postfx.runtime.encoders import (
@@ -88,6 +89,8 @@ class CommandBuffer:
         self._encoder: Encoder | None = None
         self._state = "open"
         self._done = threading.Event()
+        self._handled: threading.Event | None = None  # of this commit, where there are handlers
+        self._handling = 0  # the thread that runs them
         self._error: CommandError | None = None
         self._timings: dict[int, tuple[str, float]] = {}
         self._recorder: Recorder | None = None
@@ -156,7 +159,8 @@ class CommandBuffer:
     def add_completed_handler(self, handler: Callable[[CommandBuffer], None]) -> None:
         """Call `handler(buffer)` whenever the commands are done or one has failed, on a thread of the device.
 
-        Keep it short. It may `wait`, which then returns or raises at once, and read results. What it raises goes to the
+        Keep it short: `wait` of other threads returns after it. It may `wait` itself, which then returns or raises at
+        once, and read results. What it raises goes to the
         log. Metal's `addCompletedHandler:`; `begin` drops it. Raises EncodingError after commit.
         """
         self._require_open()
@@ -180,6 +184,7 @@ class CommandBuffer:
         self._close("discarded")
         self._error, self._timings = None, {}
         self._done.clear()
+        self._handled = threading.Event() if self._handlers else None
         with self.device.commit_lock:
             key = self._recognise()
             self._place()
@@ -201,15 +206,19 @@ class CommandBuffer:
             self._close("discarded")
 
     def wait(self, timeout: float | None = None) -> None:
-        """Block until all commands are done, or for `timeout` seconds (None: no limit).
+        """Block until all commands are done and their handlers have run, or for `timeout` seconds (None: no limit).
 
         Raises CommandTimeout when they are not done in time, CommandError when one failed, EncodingError before
         commit.
         """
         if self._state not in ("committed", "done"):
             raise EncodingError(f"'{self.label}' cannot be waited for: it is {self._state}, commit it first")
+        begin, handled = time.monotonic(), self._handled
         if not self.is_done(timeout):
             raise timeout_error(f"'{self.label}' was not done after {timeout:g} s", self.device.hazards.in_flight())
+        left = None if timeout is None else max(0.0, timeout - (time.monotonic() - begin))
+        if handled is not None and threading.get_ident() != self._handling and not handled.wait(left):
+            raise CommandTimeout(f"a handler of '{self.label}' was not done after {timeout:g} s", None, ())
         if self._state == "committed":
             self._state = "done"
             self.device.hazards.retire(self)
@@ -293,13 +302,16 @@ class CommandBuffer:
         self._execution = None
         if self._recorder is not None:
             self._recorder.finish()
-        handlers = list(self._handlers)  # as soon as the host knows that all is done, it may begin anew
+        handlers, handled = list(self._handlers), self._handled  # a handler may begin anew
+        self._handling = threading.get_ident()
         self._done.set()
         for handler in handlers:
             try:
                 handler(self)
             except Exception:
                 LOG.exception("a handler of '%s' failed", self.label)
+        if handled is not None:
+            handled.set()
 
 
 class Span(NamedTuple):

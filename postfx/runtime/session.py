@@ -369,7 +369,7 @@ def session_options(placement: Placement, dims: Mapping[str, int], shared: bool 
     options = ort.SessionOptions()
     options.intra_op_num_threads = placement.threads
     options.log_severity_level = 3
-    # The memory pattern's block is allocated on top of the first run's memory; docs/runtime.md has figures.
+    # The memory pattern's block is allocated on top of the first run's memory; docs/lab/runtime.md has figures.
     options.enable_mem_pattern = False
     # Threads spin between nodes, longer than most take, but not on and on where a thread that they wait for lost its
     # core to others, and not between runs, when other sessions and kernels need the cores.

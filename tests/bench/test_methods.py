@@ -32,7 +32,7 @@ def test_what_is_left_out_says_why():
     assert omissions["m fp16"] == "fp16 is for cuda, not for cpu"
     assert omissions["l int8"] == "there is no model denoise_upscale.l.int8"
     assert omissions["m fp32 guides"] == "the frames have no planes at output size"
-    assert omissions["accumulation"] == "the frames have no motion plane"
+    assert omissions["accumulation"] == "the frames have no motion vectors"
 
 
 def test_a_network_that_reads_guides():

@@ -7,6 +7,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from postfx.version import pip_install
+
 for module in ("flip_evaluator", "skimage", "matplotlib", "pyoidn"):
     pytest.importorskip(module, reason="needs the extra 'bench'")
 
@@ -137,7 +139,7 @@ def test_a_library_that_is_not_installed(monkeypatch, capsys):
     find = bench.find_spec
     monkeypatch.setattr(bench, "find_spec", lambda name: None if name == "flip_evaluator" else find(name))
     assert main(["bench", *INPUTS]) == 2
-    message = "error: flip-evaluator is not installed, and it measures or draws: pip install 'postfx-render[bench]'\n"
+    message = f"error: flip-evaluator is not installed, and it measures or draws: {pip_install('bench')}\n"
     assert capsys.readouterr().err == message
 
 

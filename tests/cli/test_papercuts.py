@@ -38,7 +38,7 @@ def test_options_of_run_go_behind_two_dashes(here, capsys, verb):
     with pytest.raises(SystemExit):
         main([verb, "in/", "-o", "out/", "--model", "s"])
     told = capsys.readouterr().err
-    assert f"options of 'postfx run' go behind --, as in: postfx {verb} ... -- --model" in told
+    assert f"options of 'postfx run' go after --, as in: postfx {verb} ... -- --model" in told
 
 
 def test_chunks_check_the_options_behind_the_dashes(here, capsys):

@@ -17,7 +17,7 @@ from postfx.cli.chunks import ChunkActor, _connect, _share_of_machine
 from postfx.errors import FarmError
 from postfx.io.sequence import Sequence
 from postfx.runs.locks import Claim
-from postfx.version import __version__
+from postfx.version import __version__, pip_install
 
 RUN = ("--scale", "1", "--model", "s", "--threads", "1")
 IMPATIENT = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 300, "health_check_failure_threshold": 2}
@@ -47,7 +47,7 @@ def test_without_ray(postfx, noise, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     done = postfx("run", "in/", "-o", "out/", "--ray", "auto")
     assert (done.code, done.err) == (
-        2, "error: --ray needs Ray, which is not installed here: pip install 'postfx-render[ray]'\n")
+        2, f"error: --ray needs Ray, which is not installed here: {pip_install('ray')}\n")
 
 
 def test_ray_is_given_the_address_and_what_it_answers_is_said(monkeypatch):
@@ -98,7 +98,7 @@ def test_every_machine_that_fits_can_take_a_chunk(machines, device, share):
 def test_two_machines_of_which_one_dies(postfx, write_exr, tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_AUTH_MODE", "token")  # it runs whatever anyone sends to its ports
     monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
-    pytest.importorskip("ray", reason="Ray is no part of the extra 'dev': pip install 'postfx-render[ray]'")
+    pytest.importorskip("ray", reason="Ray is no part of the extra 'dev': pip install '.[ray]'")
     from ray.cluster_utils import Cluster
 
     rng = np.random.default_rng(8)

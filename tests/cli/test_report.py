@@ -109,7 +109,7 @@ def test_references_must_have_the_output_s_size():
 
 def test_a_library_that_is_missing_is_named(monkeypatch):
     monkeypatch.setattr(frame_log, "find_spec", lambda name: None)
-    with pytest.raises(ReportError, match=r"flip-evaluator is not installed, .* pip install 'postfx-render\[bench\]'"):
+    with pytest.raises(ReportError, match=r"flip-evaluator is not installed, .* pip install '\.\[bench\]'"):
         References(str(ROOM / "reference.####.exr"), (640, 360))
 
 

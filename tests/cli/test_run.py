@@ -48,7 +48,7 @@ def test_json_report(postfx, shot):
     assert set(report["ms_per_frame"]) == {"median", "min", "max"}
     assert {"what": "plane 'depth'", "why": "no pass reads it"} in report["skipped"]
     assert {"what": "denoise_upscale", "why": "--no-denoise"} in report["skipped"]
-    assert any("history is dropped" in warning for warning in report["warnings"])
+    assert any("the history begins anew" in warning for warning in report["warnings"])
 
 
 def test_display_output_without_tone_mapping_is_clipped_and_encoded(postfx, write_exr, tmp_path):

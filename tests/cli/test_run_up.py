@@ -23,7 +23,7 @@ def test_first_frames_have_a_history(postfx, noise):
     done = postfx(*RUN, "-o", "with/a.####.exr", "--json")
     assert done.json["run_up"]["frames"] == 5
     assert "before frame 1: a run-up from frame 6" in done.err.splitlines()
-    assert "5 frames in reverse order, for a history of the first ones" in done.err
+    assert "5 frames first, in reverse order, for the first frames' history" in done.err
     done = postfx(*RUN, "-o", "without/a.####.exr", "--run-up", "0", "--json")
     assert done.json["run_up"] == {"frames": 0, "ms_per_frame": None}
     assert "reverse" not in done.err

@@ -11,6 +11,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx import oidn
+from postfx.version import pip_install
 
 RUN = ("run", "in/shot.####.exr", "--model", "s", "--scale", "1")
 needs_oidn = pytest.mark.skipif(not oidn.is_installed(), reason="Open Image Denoise is not installed")
@@ -65,7 +66,7 @@ def test_what_is_not_installed_is_one_line(postfx: Callable, noise: Path, monkey
     monkeypatch.setattr(oidn, "find_spec", lambda name: None)
     done = postfx(*RUN, "--with", "oidn", "-o", "out/a.####.exr")
     assert done.code == 2
-    assert done.err.strip().splitlines()[-1].endswith("is not installed: pip install 'postfx-render[oidn]'")
+    assert done.err.strip().splitlines()[-1].endswith(f"is not installed: {pip_install('oidn')}")
     assert not (noise / "out").exists()
 
 

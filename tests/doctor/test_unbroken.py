@@ -122,7 +122,7 @@ def test_a_part_of_the_garage_has_no_error(shared_dir):
 
 
 def test_costs_are_those_of_the_quality_page():
-    text = (REPOSITORY / "docs" / "quality.md").read_text(encoding="utf-8")
+    text = (REPOSITORY / "docs" / "lab" / "quality.md").read_text(encoding="utf-8")
     names = {Role.DIFFUSE_ALBEDO: "diffuse albedo", Role.SPECULAR_ALBEDO: "specular albedo"}
     for role, cost in COSTS.items():
         (row,) = re.findall(rf"^\| {names.get(role, str(role))} \| (.*dB, flicker.*)$", text, re.MULTILINE)

@@ -9,7 +9,7 @@ ROW = re.compile(r"\| `(?P<file>(?:files|fuzz)/\w+\.py)::(?P<test>\w+)(?:\[(?P<c
 
 
 def test_each_row_is_a_test() -> None:
-    rows = list(ROW.finditer((TESTS.parent / "docs/reference/reliability.md").read_text("utf-8")))
+    rows = list(ROW.finditer((TESTS.parent / "docs/lab/reliability.md").read_text("utf-8")))
     assert len(rows) >= 80 and len({row[0] for row in rows}) == len(rows)
     for row in rows:
         text = (TESTS / row["file"]).read_text("utf-8")

@@ -46,7 +46,7 @@ def test_planes_keep_their_names(shot, scale, capsys):
     given, out = str(shot / "in.%04d.exr"), str(shot / "out.%04d.exr")
     command = ["run", given, "-o", out, "--scale", scale, "--profile", PROFILE, "--keep", "all", "--model", "s"]
     assert main(command) == 0
-    assert "no motion plane" not in capsys.readouterr().out
+    assert "no motion vectors" not in capsys.readouterr().out
     before, after = read(shot / "in.0003.exr"), read(shot / "out.0003.exr")
     assert after[0] == before[0] and set(after[0]) == set(NAMES)
     for name in NAMES[10:]:

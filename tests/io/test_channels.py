@@ -99,7 +99,7 @@ def test_of_several_view_layers_that_with_the_most_planes_is_read_or_the_one_tha
     sequence = read_sequence(path, without=[Role.OVERLAY])
     assert means(next(iter(sequence))) == COLOUR | {"depth": [5]}
     (warning,) = sequence.warnings
-    assert warning == "view layer FG is read, as it has the most planes; not BG, Overlay: --layer NAME chooses"
+    assert warning == "view layer FG is read, as it has the most AOVs, not BG, Overlay: --layer NAME chooses"
     named = read_sequence(path, layer="bg", without=[Role.OVERLAY])
     assert means(next(iter(named))) == {"colour": [9, 9, 9]} and not named.warnings
     with pytest.raises(MissingPlaneError, match=r"a\.exr: no layer 'sky': it holds BG, FG, Overlay"):
@@ -110,7 +110,7 @@ def test_the_name_of_a_lone_part_makes_no_other_view_layers(write_parts) -> None
     for name in ("rgba", "x"):
         sequence = read_sequence(write_parts("a.exr", {name: view_layers()}))
         next(iter(sequence))
-        assert sequence.warnings[0].startswith("view layer FG is read, as it has the most planes; not BG, Overlay: ")
+        assert sequence.warnings[0].startswith("view layer FG is read, as it has the most AOVs, not BG, Overlay: ")
 
 
 def test_the_view_layer_of_the_first_frame_is_that_of_all(write_exr) -> None:

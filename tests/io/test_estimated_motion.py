@@ -167,7 +167,7 @@ def test_zeros_in_files_are_replaced_where_the_planes_move(walk: str) -> None:
 def test_a_run_plans_with_estimated_motion(walk: str, capsys: pytest.CaptureFixture[str]) -> None:
     for words, lacks in (((), False), (("--motion", "auto"), False), (("--motion", "file"), True)):
         assert main(["run", walk, "--explain", "--model", "s", *words]) == 0
-        assert ("no motion plane, so every frame is denoised alone" in capsys.readouterr().out) == lacks, words
+        assert ("no motion vectors, so every frame is denoised alone" in capsys.readouterr().out) == lacks, words
 
 
 @pytest.mark.parametrize(("name", "most"), [("garage", 0.15), ("doorway", 0.15), ("living_room", 0.3)])

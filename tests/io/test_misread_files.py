@@ -120,5 +120,5 @@ def test_two_view_layers(collection: Path) -> None:
     sequence = read_sequence(path)
     assert_planes(next(iter(sequence)), alpha=(1,), diffuse_albedo=(0.5,) * 3)
     assert sequence.warnings == [
-        "view layer ViewLayer is read, as it has the most planes; not BG: --layer NAME chooses"]
+        "view layer ViewLayer is read, as it has the most AOVs, not BG: --layer NAME chooses"]
     np.testing.assert_allclose(read(path, layer="BG")[Role.COLOUR], 0.1, atol=1e-6)

@@ -189,8 +189,8 @@ def test_what_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> N
     assert main(["exposure", str(path), "--view", "left,right"]) == 2
     told = capfd.readouterr().err
     assert "only EXR holds several views: write EXR, or a file for each: put {view} into the name" in told
-    assert "'postfx inspect' looks at one view: give --view with one name" in told
-    assert "'postfx exposure' looks at one view: give --view with one name" in told
+    assert "'postfx inspect' uses one view: give --view one name" in told
+    assert "'postfx exposure' uses one view: give --view one name" in told
 
 
 def write_apart(folder: Path, numbers: range = range(1, 4), views: tuple[str, ...] = ("left", "right")) -> None:
@@ -298,7 +298,7 @@ def test_verbs_that_look_at_one_view(tmp_path: Path, capfd) -> None:
     assert main(["run", str(tmp_path / "in.%V.####.exr"), "--explain"]) == 0
     assert "in.{view}.####.exr: 3 frames (1-3), views left, right" in capfd.readouterr().out
     assert main(["inspect", str(tmp_path / "in.%V.####.exr")]) <= 2
-    assert "view left is looked at, not right: --view chooses one" in capfd.readouterr().out
+    assert "view left is used, not right: --view chooses one" in capfd.readouterr().out
     assert main(["exposure", str(tmp_path / "in.%V.####.exr"), "--device", "cpu"]) <= 1
     assert main(["watch", str(tmp_path / "in.%V.####.exr"), "-o", str(tmp_path / "p.####.png")]) == 2
     assert "watches one view: put its name for {view}" in capfd.readouterr().err

@@ -427,6 +427,6 @@ def test_what_does_not_fit_is_told():
 
 
 def test_the_example_of_the_document_learns(capsys):
-    text = (Path(__file__).parents[2] / "docs" / "neural.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "howto" / "networks.md").read_text(encoding="utf-8")
     exec(re.search(r"```python\n(.*?)```", text, re.DOTALL)[1], {})
     assert float(capsys.readouterr().out) < 1e-3

@@ -161,7 +161,7 @@ def test_lost_guides_are_remarked() -> None:
     bare = Frame({Role.COLOUR: noisy(1)[Role.COLOUR]}).spec
     assert DenoiseUpscale().remarks(everything) == ()
     alone, blurred = DenoiseUpscale().remarks(bare)
-    assert "no motion plane" in alone and "normal" in blurred and "motion" not in blurred
+    assert "no motion vectors" in alone and "normal" in blurred and "motion" not in blurred
 
 
 def hazy(number: int, share: float) -> Frame:

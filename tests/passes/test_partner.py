@@ -192,7 +192,7 @@ def test_an_unknown_quality_is_named() -> None:
 def test_without_the_package_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("postfx.oidn.find_spec", lambda name: None)
     for make in (Oidn, Partner):
-        with pytest.raises(DeviceError, match=r"pyoidn.*is not installed: pip install 'postfx-render\[oidn\]'"):
+        with pytest.raises(DeviceError, match=r"pyoidn.*is not installed: pip install '\.\[oidn\]'"):
             make()
 
 

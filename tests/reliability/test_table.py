@@ -1,11 +1,11 @@
-"""The table of faults in docs/reference/reliability.md: each row is a test, and each test of a fault is a row."""
+"""The table of faults in docs/lab/reliability.md: each row is a test, and each test of a fault is a row."""
 
 import ast
 import re
 from pathlib import Path
 
 TESTS = Path(__file__).resolve().parent.parent
-PAGE = TESTS.parent / "docs/reference/reliability.md"
+PAGE = TESTS.parent / "docs/lab/reliability.md"
 ROW = re.compile(
     r"^\| .+ \| .+ \| .+ \| `(?P<file>[\w/.]+)::(?P<test>\w+)(?:\[(?P<case>.+)\])?` \|$", re.MULTILINE
 )

@@ -87,5 +87,5 @@ def test_options_are_checked(device, monkeypatch):
     with pytest.raises(CaptureError, match="capture of networks .* cannot keep 'none'"):
         device.capture("none", network=True)
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(CaptureError, match=r"need the package onnx: pip install 'postfx-render\[capture\]'"):
+    with pytest.raises(CaptureError, match=r"need the package onnx: pip install '\.\[capture\]'"):
         device.capture(network=True)

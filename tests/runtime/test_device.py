@@ -66,7 +66,7 @@ def test_number_of_a_cuda_device(name, index, monkeypatch):
 
 @pytest.mark.skipif("CUDAExecutionProvider" in onnxruntime.get_available_providers(), reason="ONNX Runtime has CUDA")
 def test_cuda_where_there_is_none():
-    with pytest.raises(DeviceError, match=r"'cuda' is not available: .* pip install 'postfx-render\[cuda\]'"):
+    with pytest.raises(DeviceError, match=r"'cuda' is not available: .* pip install '\.\[cuda\]'"):
         Device("cuda")
     assert Device("auto").name == "cpu"
 

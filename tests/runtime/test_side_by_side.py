@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from postfx.runtime import ArgumentTable, CommandError, Device, DeviceError
+from postfx.runtime import ArgumentTable, CommandError, CommandTimeout, Device, DeviceError
 from postfx.runtime import device as device_module
 from postfx.runtime.device import ProviderMemory, cuda_fault
 from postfx.runtime.session import Placement
@@ -271,6 +271,26 @@ def test_networks_side_by_side_on_a_gpu(tmp_path):
 def test_threads_that_a_network_cannot_take(device, library):
     with pytest.raises(DeviceError, match="cannot take 3 of the 2 threads"):
         device.pipeline_state(library, "double", {"height": 4, "width": 5}, threads=3)
+
+
+def test_wait_returns_after_handlers_ran(bench):
+    x, y, told, may_end = bench.tensor("x", filled=True), bench.tensor("y"), [], threading.Event()
+
+    def tell(commands):
+        may_end.wait(WAIT)
+        told.append(commands.label)
+
+    commands = bench.device.command_buffer("frame")
+    commands.add_completed_handler(tell)
+    with commands.machine_learning_encoder("double") as encoder:
+        encoder.dispatch_network(*bench.double(x, y))
+    commands.commit()
+    assert commands.is_done(WAIT)
+    with pytest.raises(CommandTimeout, match="a handler of 'frame' was not done after"):
+        commands.wait(0.01)
+    may_end.set()
+    commands.wait(WAIT)
+    assert told == ["frame"]
 
 
 def test_handlers_are_called_at_every_end(bench, caplog):

@@ -1,4 +1,4 @@
-"""Kernels in float32 against their own definitions in float64: docs/measured/stability.md shows the bounds.
+"""Kernels in float32 against their own definitions in float64: docs/lab/stability.md shows the bounds.
 
 Four ways to compute them: compiled rows, portable definitions by ONNX Runtime, and CUDA sources, run on the host and,
 where there is one, on a GPU.
@@ -30,7 +30,7 @@ from tests.kernels.test_tonemap_kernels import DEFINITIONS as TONE  # noqa: E402
 from tests.passes.test_denoise_reflections import PLANES, params_of  # noqa: E402
 from training.denoise.export import KERNELS as DENOISE  # noqa: E402
 
-PAGE = Path(__file__).resolve().parent.parent.parent / "docs/measured/stability.md"
+PAGE = Path(__file__).resolve().parent.parent.parent / "docs/lab/stability.md"
 ROUNDED = 2e-7
 """Bound of kernels that do a handful of operations a value: twice the spacing of float32 below 1, 1.2e-7, at most."""
 BOUNDS = {

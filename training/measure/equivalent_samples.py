@@ -1,7 +1,7 @@
 """Equivalent sample count: the samples a pixel that reach the error of a network with one sample. Two commands.
 
 python -m training.measure.equivalent_samples render VIEW.npz [--variant cuda_ad_rgb]    needs Mitsuba
-python -m training.measure.equivalent_samples measure VIEW.npz -o RESULTS [--model m]    needs postfx-render[bench]
+python -m training.measure.equivalent_samples measure VIEW.npz -o RESULTS [--model m]    needs the extra 'bench'
 
 `render` makes independent images of one sample a pixel of a held-out view, the means of the first 1, 2, 3, ... of them,
 and a reference of two independent halves. `measure` measures the error of those means, the true convergence of this

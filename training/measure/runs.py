@@ -1,6 +1,6 @@
 """The log of training runs: their table, their curves.
 
-    python -m training.measure.runs table [--log training/runs.jsonl] [--write docs/training.md]
+    python -m training.measure.runs table [--log training/runs.jsonl] [--write docs/lab/training.md]
     python -m training.measure.runs curves RUN [RUN ...] -o curves.png
 
 The log has one JSON object a line, one line a run: `run` (a name), `date`, `commit`, `start` (weights it began from),

@@ -7,7 +7,7 @@
 A look is a tag, or the file of a model. Each picture is exposed by the run-time's meter and shrunk to at most --side
 pixels. Per picture: PSNR, SSIM and FLIP of sRGB code values, mean Delta E ITP (ITU-R BT.2124, white at 100 cd/m2).
 Then the charts of `training.tonemap.checks`, and the steadiness of sequences. --report writes the results into
-docs/concepts/tonemap.md and makes its pictures, for the looks measured now and those already in -o.
+docs/lab/tonemap.md and makes its pictures, for the looks measured now and those already in -o.
 
 --following measures how fast looks with a network follow light that changes, at once (steps) or evenly (ramps of a
 stop); it prints the least and the greatest value over the pictures.
@@ -42,7 +42,7 @@ from training.tonemap.pairs import fit_cube
 from training.tonemap.pictures import find_pictures, shrink
 
 # The report ---------------------------------------------------------------------------------------------------------
-# Measurements of looks as tables and pictures of docs/concepts/tonemap.md.
+# Measurements of looks as tables and pictures of docs/lab/tonemap.md.
 
 TILE, GAP, LOUD = 200, 4, 8.0  # height of a tile and the gap, in pixels; factor of the errors shown
 MOST = 5  # pictures in a strip
@@ -309,8 +309,8 @@ def main() -> None:
     parser.add_argument("--sequences", nargs="*", default=[], help="folders of reference.####.exr and noisy.####.exr")
     parser.add_argument("--side", type=int, default=640)
     parser.add_argument("--following", action="store_true", help="only print how fast looks follow light that changes")
-    parser.add_argument("--report", action="store_true", help="write docs/concepts/tonemap.md and its pictures")
-    parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/concepts/tonemap.md")
+    parser.add_argument("--report", action="store_true", help="write docs/lab/tonemap.md and its pictures")
+    parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/lab/tonemap.md")
     parser.add_argument("--images", type=Path, default=REPOSITORY / "docs/images/tonemap")
     args = parser.parse_args()
     if not args.output and not args.following:

@@ -35,7 +35,7 @@ HISTORY = replace(kernel("history", ("history", "moved", "params", "window", "ou
 
 FOCAL, FOCAL_THEN, JITTER, TURN, SHIFT, WORLD, CAMERA = 0, 2, 4, 6, 15, 18, 27
 ROUGHEST = np.float32(0.3)
-"""Roughness up to which a surface shows an image that is worth following: docs/concepts/denoiser.md."""
+"""Roughness up to which a surface shows an image that is worth following: docs/lab/denoising.md."""
 STEP, BEND = np.float32(0.1), np.float32(0.9)
 """Most relative difference in depth of neighbours on one surface, and least cosine between their normals."""
 STILL, PART = np.float32(0.25), np.float32(0.05)

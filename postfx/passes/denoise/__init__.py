@@ -172,7 +172,7 @@ class DenoiseUpscale(Pass):
         lost = [str(role).replace("_", " ") for role in SHARPENING if role not in seen]
         can_be_estimated = any(map(spec.has, (Role.DIFFUSE_ALBEDO, Role.NORMAL)))
         remedy = "--motion auto estimates it" if can_be_estimated else "render it, or albedo to estimate it from"
-        alone = f"no motion plane, so every frame is denoised alone and may flicker: {remedy}"
+        alone = f"no motion vectors, so every frame is denoised alone and may flicker: {remedy}"
         found = [NO_NETWORKS] if self._is_fallback else []
         found += [] if spec.has(Role.MOTION) else [alone]
         found += [f"no {' and no '.join(lost)}: results are blurrier"] if lost else []
@@ -535,7 +535,7 @@ class Savings:
         if self._full:
             found.append((f"blend with the input for {_count(self._full)}", "strength is 1 everywhere"))
         if self._alone:
-            found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion plane"))
+            found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion vectors"))
         if self._repeats:
             found.append((f"history for {_count(self._repeats)}", "noise is that of the frame before"))
         if self._still:

@@ -1,4 +1,4 @@
-"""What benchmarks would have written, made up: rows and files for docs/quality.md's tables."""
+"""What benchmarks would have written, made up: rows and files for docs/lab/quality.md's tables."""
 
 from __future__ import annotations
 

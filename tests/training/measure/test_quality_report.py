@@ -1,4 +1,4 @@
-"""Tables and pictures of docs/quality.md: written from results, left alone without, and checked."""
+"""Tables and pictures of docs/lab/quality.md: written from results, left alone without, and checked."""
 
 from __future__ import annotations
 
@@ -226,13 +226,13 @@ def test_errors_name_the_line_and_write_nothing(tmp_path, results, capsys, text,
 
 def test_the_document_has_known_markers_and_its_pictures():
     docs = Path(__file__).resolve().parents[3] / "docs"
+    page = docs / "lab/quality.md"
     from training.measure.quality_report.document import Block, parse
 
-    blocks = [part for part in parse((docs / "quality.md").read_text(), docs / "quality.md", {*MAKERS, "picture"})
-              if isinstance(part, Block)]
+    blocks = [part for part in parse(page.read_text(), page, {*MAKERS, "picture"}) if isinstance(part, Block)]
     assert {block.name for block in blocks} == {*MAKERS, "picture"}
     shown = [block.text.split("](")[1].rstrip(")\n") for block in blocks if block.name == "picture" and block.text]
-    files = {f"images/quality/{path.name}": path.stat().st_size for path in (docs / "images/quality").iterdir()}
+    files = {f"../images/quality/{path.name}": path.stat().st_size for path in (docs / "images/quality").iterdir()}
     assert shown and set(shown) == set(files) and sum(files.values()) <= LIMIT
 
 

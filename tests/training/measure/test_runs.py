@@ -45,7 +45,7 @@ def test_a_table_goes_between_the_markers_of_a_document(tmp_path: Path, capsys: 
 
 
 def test_the_log_of_the_repository_is_the_table_of_the_page() -> None:
-    page = Path(__file__).resolve().parents[3] / "docs" / "training.md"
+    page = Path(__file__).resolve().parents[3] / "docs" / "lab" / "training.md"
     runs = read_runs(LOG)
     assert len({run["run"] for run in runs}) == len(runs) and {*runs[0]} >= {"start", "options", "kinds", "outcome"}
-    assert table(runs) in page.read_text(), "python -m training.measure.runs table --write docs/training.md"
+    assert table(runs) in page.read_text(), "python -m training.measure.runs table --write docs/lab/training.md"

@@ -1,6 +1,6 @@
-"""Write measurements into docs/quality.md: its tables and pictures.
+"""Write measurements into docs/lab/quality.md: its tables and pictures.
 
-python -m training.measure.quality_report RESULTS [--doc docs/quality.md] [--images docs/images/quality] [--check]
+python -m training.measure.quality_report RESULTS [--doc docs/lab/quality.md] [--images docs/images/quality] [--check]
 
 RESULTS holds the output of these commands:
 
@@ -49,7 +49,7 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("results", type=Path, metavar="RESULTS")
-    parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/quality.md")
+    parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/lab/quality.md")
     parser.add_argument("--images", type=Path, default=REPOSITORY / "docs/images/quality")
     parser.add_argument("--models", type=Path, default=REPOSITORY / "models", help="folder of the networks' cards")
     parser.add_argument("--check", action="store_true", help="write nothing; only check that everything is up to date")

@@ -2,7 +2,7 @@
 
 python -m training.measure.validation render --out CLIPS --clips 6 [--gpus 0,1]      needs Mitsuba; a GPU helps
 python -m training.measure.validation sheet CLIPS sheet.png                          a picture of the clips
-python -m training.measure.validation compare CLIPS -o RESULTS [--models m]          needs postfx-render[bench]
+python -m training.measure.validation compare CLIPS -o RESULTS [--models m]          needs the extra 'bench'
 python -m training.measure.validation expand CLIPS FOLDER                            the clips as EXR sequences
 
 A clip is eight frames of a scene with references, 1x at 1 sample a pixel, 2x at 4 (as many light paths), 1.5x and 3x at

@@ -1,0 +1,42 @@
+"""What a programmer meets first: what objects say of themselves, and slips that are told in one line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import postfx
+from postfx.errors import FrameError, PassOptionError
+
+PICTURE = np.zeros((8, 8, 3), np.float32)
+
+
+def test_objects_say_what_they_are(write_exr, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_exr("shot.0001.exr", {name: np.zeros((8, 8)) for name in "RGB"})
+    write_exr("shot.0002.exr", {name: np.zeros((8, 8)) for name in "RGB"})
+    denoise = postfx.DenoiseUpscale(model="s")
+    assert repr(denoise) == "DenoiseUpscale(model='s')" and repr(postfx.ToneMap()) == "ToneMap()"
+    device = postfx.Device("cpu", threads=1)
+    pipeline = postfx.Pipeline([denoise, postfx.ToneMap(tag="agx")], device=device)
+    passes = "DenoiseUpscale(model='s'), ToneMap(tag='agx')"
+    assert repr(pipeline) == f"Pipeline([{passes}], device=Device('cpu', threads=1))"
+    assert repr(postfx.read_sequence("shot.####.exr")) == "Sequence('shot.####.exr', frames='1-2')"
+
+
+@pytest.mark.parametrize(("passes", "said"), [
+    (PICTURE, "a pipeline takes passes, not numpy.ndarray: give a list"),
+    (postfx.DenoiseUpscale(model="s"), r"Pipeline\(\[DenoiseUpscale\(model='s'\)\]\)"),
+    (["denoise"], "a pipeline takes passes, not str: give a list"),
+    (None, "a pipeline takes passes, not NoneType: give a list"),
+])
+def test_a_pipeline_of_something_else_is_refused_in_one_line(passes, said):
+    with pytest.raises(PassOptionError, match=said):
+        postfx.Pipeline(passes)
+
+
+def test_a_pipeline_is_called_with_a_frame():
+    pipeline = postfx.Pipeline([postfx.ToneMap()])
+    with pytest.raises(FrameError, match=r"takes a postfx.Frame, not numpy.ndarray: give Frame\(\{'colour': array\}\)"):
+        pipeline(PICTURE)
+    assert pipeline(postfx.Frame({"color": PICTURE}))["colour"].shape == PICTURE.shape
