@@ -20,7 +20,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Trust in guides",
         "Volumes",
         "At 1x",
-        "What is skipped",
         "Clean input",
         "Time budget",
         "Without a network",
