@@ -15,6 +15,7 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Why a kernel has more than one form",
     ),
     "docs/concepts/denoiser.md": (
+        "Expected error",
         "Trust in guides",
         "Volumes",
         "At 1x",
@@ -103,6 +104,7 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Why it is not part of postfx",
     ),
     "docs/lab/denoiser.md": (
+        "Its first long training",
         "A trunk from the render size on",
         "Trust in guides",
         "Doubt in planes",

@@ -18,6 +18,7 @@ VERBS = {
     "run": "denoise, upscale and tone-map a sequence",
     "interpolate": "make frames between the frames of a sequence",
     "watch": "preview frames while a renderer writes them",
+    "merge": "merge renders that differ in their seed, weighted by samples",
     "chunks": "cut a sequence into chunks for the machines of a farm",
     "verify": "check that the files of a run are there, whole and unaltered",
     "inspect": "find what is wrong with a sequence's planes",
