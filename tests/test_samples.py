@@ -333,6 +333,11 @@ def test_pictures_of_tools_show_what_they_say(tmp_path):
     assert [shot.verdict for shot in found.shots] == ["right", "drifting", "too dark"]
 
 
+def test_passes_by_networks_of_scenes_are_timed():
+    rows = run("scene_passes.py", "--runs", "1").splitlines()
+    assert len(rows) == 6 and all(float(row.split()[-2]) > 0 for row in rows[1:])
+
+
 def test_every_script_is_run_here():
     named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
@@ -340,5 +345,5 @@ def test_every_script_is_run_here():
              "external_tone_mapper.py", "between_frames.py", "mlp_in_kernel.py", "neural_speed.py", "sky.py",
              "sky_probe.py", "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py",
              "time_model.py", "neural_material.py", "neural_shading.py", "scene_network.py", "display.py",
-             "reflections.py", "detail.py", "site_pictures.py"}
+             "reflections.py", "detail.py", "site_pictures.py", "scene_passes.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

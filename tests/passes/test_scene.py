@@ -166,3 +166,13 @@ def test_irradiance_is_learnt_and_lights_surfaces(device: Device, tmp_path: Path
     assert (lit[0] == 7).all()
     np.testing.assert_allclose(lit[1:], frames[2][Role.COLOUR][1:], rtol=0.15)
     assert np.abs(lit[1:] / frames[2][Role.COLOUR][1:] - 1).mean() < 0.03
+
+
+def test_passes_stand_on_the_command_line(postfx) -> None:
+    """Before the denoiser, whose result has no planes of the render; the reason says so."""
+    frames = str(ROOM / "noisy.####.exr")
+    alone = "--frames", "1", "--preroll", "0", "--run-up", "0"
+    done = postfx("run", frames, "-o", "before", *alone, "--pass", "occlusion,strength=0.5,before=denoise_upscale")
+    assert done.code == 0 and "occlusion: network for 1 frame" in done.out + done.err
+    done = postfx("run", frames, "-o", "after", *alone, "--pass", "occlusion")
+    assert "no plane depth here; those of the render are there with before=denoise_upscale" in done.out + done.err

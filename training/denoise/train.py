@@ -46,6 +46,9 @@ from training.measure.runs import append_run
 # Settings -----------------------------------------------------------------------------------------------------------
 
 KEEP_MINUTES = 2.0  # between two checkpoints
+USUAL_WAIT = 8  # clips a GPU before training starts
+PATIENCE = 20.0  # seconds without a new clip after which those that are there are enough
+PAUSE = 2.0  # seconds between two looks for clips
 WARM_STEPS = 500  # over which the learning rate rises: where it rises faster, units die for good
 DECAY = 0.9995  # of the average of the weights
 LARGEST_NORM = 1.0  # of a gradient
@@ -109,7 +112,8 @@ def options() -> argparse.ArgumentParser:
                        help="go on from a checkpoint of 'training.denoise.checkpoint pack': its weights, their average "
                             "and the count of steps, with the arguments of this call")
     begin.add_argument("--resume", type=Path, help="checkpoint.pt of a run to continue, with its arguments")
-    parser.add_argument("--wait", type=int, default=8, help="clips a GPU to wait for before training starts")
+    parser.add_argument("--wait", type=int, help="clips a GPU to wait for before training starts; default: 8, or those "
+                        f"that are there once no other came for {PATIENCE:.0f} seconds")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--log", type=Path, metavar="FILE", help="table of runs (.jsonl) that gets a row at the end")
     return parser
@@ -241,6 +245,21 @@ def add_row(path: Path, *values: float) -> None:
 
 # Training -----------------------------------------------------------------------------------------------------------
 
+def wait_for_clips(pool: ClipPool, wanted: int | None, where: str) -> None:
+    """Wait for as many clips; for `USUAL_WAIT` without a number, or those that are there once no other comes."""
+    count, since = pool.refresh(), time.monotonic()
+    enough = USUAL_WAIT if wanted is None else wanted
+    if count < enough:
+        print(f"waiting for {enough} clips to train on (--wait): {where} has {count}", flush=True)
+    while count < enough:
+        if wanted is None and count and time.monotonic() - since > PATIENCE:
+            print(f"no more clips come: training on {count}", flush=True)
+            return
+        time.sleep(PAUSE)
+        before, count = count, pool.refresh()
+        since = time.monotonic() if count > before else since
+
+
 def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch.device = torch.device("cpu"),  # noqa: B008
           model: DenoiseUpscale | None = None, pause: int | None = None) -> DenoiseUpscale:
     """Train in one of ``world`` processes; returns the network with its live weights.
@@ -251,10 +270,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
     kinds = (("inverse",) if args.both_ways or args.carry else ()) + (("static",) if args.false_motion else ())
     pool = ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=kinds,
                     blank_volumes=not args.volumes)
-    if pool.refresh() < args.wait:
-        print(f"waiting for {args.wait} clips to train on (--wait): {folder_names(args)} has {len(pool)}", flush=True)
-    while pool.refresh() < args.wait:
-        time.sleep(2)
+    wait_for_clips(pool, args.wait, folder_names(args))
     augment = Augment(clean=args.clean, false_motion=args.false_motion)
 
     # The network, the average of its weights, and its loss.

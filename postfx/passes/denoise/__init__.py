@@ -321,9 +321,13 @@ class DenoiseUpscale(Pass):
             if ready.layers:
                 ready.layers.resample(commands, frame, plain)
             return plain
-        band = None if cells is None else ready.frames.layout(cells)
         repeats = self._is_repeated(frame)
         keep = self._fresh and not (frame.reset or repeats) and Role.MOTION in frame
+        if not keep and ready.is_empty(frame):
+            savings.begin_empty()
+            self._fresh = False
+            return ready.encode_empty(frame)
+        band = None if cells is None else ready.frames.layout(cells)
         gain = frame.exposure / self._exposure if keep else 1.0
         self._widen(commands, frame, ready, keep)
         params = np.array([frame.exposure, *frame.jitter, gain], np.float32)
@@ -481,7 +485,7 @@ class Savings:
     """Counts frames by how much work they needed. For each frame, call `begin`, then `note_time`."""
 
     def __init__(self) -> None:
-        self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind()}
+        self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind(), "empty": Kind()}
         self._alone = self._still = self._resized = self._known = self._full = self._hazy = self._repeats = 0
         self._now = "whole"
         self._unfollowed: Counter[str] = Counter()
@@ -494,6 +498,11 @@ class Savings:
         kind.share += share
         self._alone += share > 0 and not has_history
         self._still += is_still and share == 1
+
+    def begin_empty(self) -> None:
+        """Begin a frame without any light, of which the network sees nothing."""
+        self._now = "empty"
+        self._kinds["empty"].frames += 1
 
     def note_unblended(self) -> None:
         """This frame is denoised fully although it has a strength plane."""
@@ -525,13 +534,15 @@ class Savings:
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Work left out, each with the reason and the time saved."""
         found = []
-        tiles, nothing = self._kinds["tiles"], self._kinds["nothing"]
+        tiles, nothing, empty = (self._kinds[name] for name in ("tiles", "nothing", "empty"))
         if tiles.frames:
             part = 100 * tiles.share / tiles.frames
             found.append((f"network outside of {part:.0f} % of {_count(tiles.frames)}",
                           f"strength is 0 there; {self._saved(tiles)}"))
         if nothing.frames:
             found.append((f"network for {_count(nothing.frames)}", f"strength is 0 everywhere; {self._saved(nothing)}"))
+        if empty.frames:
+            found.append((f"network for {_count(empty.frames)}", f"all is black; {self._saved(empty)}"))
         if self._full:
             found.append((f"blend with the input for {_count(self._full)}", "strength is 1 everywhere"))
         if self._alone:

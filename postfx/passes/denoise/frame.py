@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, MutableMapping, Sequence
 from copy import copy
-from functools import partial
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -469,3 +469,26 @@ class ReadyNetwork(Ready):
         self.own = {name: self.frames.beside(own) for name, own in part_history.own.items()}
         self.wider = WiderPrimaries(device, parts)
         self.error = ExpectedError(device, spec, output) if error else None
+        self._device, self._output, self._parts = device, output, parts
+
+    def is_empty(self, frame: ResidentFrame) -> bool:
+        """Whether the picture is black everywhere, alpha too if it is filtered. Without a history the filters, which
+        weigh pixels, can then give nothing but 0."""
+        if self._parts or self.error or not frame.is_blank(Role.COLOUR):
+            return False
+        return self.layers is None or frame.is_blank(Role.ALPHA)
+
+    def encode_empty(self, frame: ResidentFrame) -> Tensor:
+        """The result of an empty frame; nothing is recorded."""
+        if self.layers:
+            frame.set(Role.ALPHA, self._nothing[1], blank=True)
+        return self._nothing[0]
+
+    @cached_property
+    def _nothing(self) -> tuple[Tensor, Tensor]:
+        """Colour and alpha of an empty frame."""
+        made = tuple(self._device.heap.tensor(f"no {name}", (*self._output, channels))
+                     for name, channels in (("colour", 3), ("alpha", 1)))
+        for tensor in made:
+            tensor.fill(0)
+        return made[0], made[1]

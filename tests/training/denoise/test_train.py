@@ -329,3 +329,25 @@ def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
     program += "; from postfx.temporal.reverse_motion import invert_motion as run"  # makes motion for --carry
     program += "; import numpy as np; run(np.zeros((4, 4, 2), np.float32), *np.ones((2, 4, 4, 1), np.float32))"
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+class Filling:
+    """Stands for a pool whose folder holds so many clips at each look."""
+
+    def __init__(self, *counts: int) -> None:
+        self.counts, self.looks = counts, 0
+
+    def refresh(self) -> int:
+        self.looks += 1
+        return self.counts[min(self.looks, len(self.counts)) - 1]
+
+
+def test_the_wait_fits_the_number_of_clips(monkeypatch, capsys):
+    monkeypatch.setattr(train, "PAUSE", 0.01)
+    monkeypatch.setattr(train, "PATIENCE", 0.05)
+    train.wait_for_clips(few := Filling(0, 0, 3), None, "clips")
+    assert few.looks > 5 and "no more clips come: training on 3" in capsys.readouterr().out
+    train.wait_for_clips(growing := Filling(1, 4, 9, 20), None, "clips")
+    assert growing.looks == 3 and "no more" not in capsys.readouterr().out
+    train.wait_for_clips(asked := Filling(2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 5), 5, "clips")
+    assert asked.looks == 11
