@@ -94,7 +94,7 @@ class DenoiseUpscale(Pass):
     to the pass `both_ways`, and the plane `partner`, resampled, to the pass `mix_partner`.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. At render
-    size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone, and so does one
+    size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone. So does one
     whose noise is that of the frame before, as with one seed for all: a history would take the noise for detail.
 
     Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0 to 1, a budget that
@@ -373,7 +373,8 @@ class DenoiseUpscale(Pass):
         repeats = self._repeats(planes) and self._fresh
         if repeats and not self._has_told:
             cause, fix = ONE_SEED
-            self._notice = f"its noise is that of the frame next to it, so it is denoised alone; likely: {cause}; fix: {fix}"
+            self._notice = ("its noise is that of the frame next to it, so it is denoised alone; "
+                            f"likely: {cause}; fix: {fix}")
             self._has_told = True
         return repeats
 
