@@ -302,7 +302,7 @@ class Between:
             return Role.MOTION in self.after
         motion, _ = self._cells_of(self.after)
         flow = self._enlarge(self._estimated[1]) / np.float32(self._scale)
-        return misfit_of(*self._small, motion) <= WORSE * misfit_of(*self._small, flow)
+        return not fits_better(*self._small, flow, motion)
 
     @cached_property
     def _has_depth(self) -> bool:
@@ -538,18 +538,19 @@ class Interpolator:
         return self.frame((time - first) / (last - first), number)
 
 
-def misfit_of(before: np.ndarray, after: np.ndarray, motion: np.ndarray) -> float:
-    """Mean difference of two grey pictures along the motion of pixels of the later one, of which each counts up to
-    MOST_APART; 1 where little of it leads into the earlier one."""
+def fits_better(before: np.ndarray, after: np.ndarray, flow: np.ndarray, motion: np.ndarray) -> bool:
+    """Whether grey pictures differ less along the flow than along motion, over those pixels of the later one that both
+    lead into the earlier one, each up to MOST_APART."""
     step = max(2, min(after.shape) // LOOKED_AT)
     y, x = np.mgrid[:after.shape[0]:step, :after.shape[1]:step]
-    moved = motion[::step, ::step]
-    x, y, now = (plane.ravel() for plane in (x + moved[..., 0], y + moved[..., 1], after[::step, ::step]))
-    inside = is_inside(before, x, y)  # false for NaN
+    places = [(x + one[::step, ::step, 0], y + one[::step, ::step, 1]) for one in (flow, motion)]
+    inside = np.logical_and(*(is_inside(before, *place) for place in places))  # false for NaN
     if inside.sum() < LEAST_INSIDE * inside.size:
-        return 1.0
-    apart = np.abs(bilinear(before, x[inside], y[inside]) - now[inside])
-    return float(np.minimum(apart, MOST_APART).mean())
+        return False
+    now = after[::step, ::step][inside]
+    found = [np.abs(bilinear(before, across[inside], down[inside]) - now) for across, down in places]
+    by_flow, by_motion = (float(np.minimum(apart, MOST_APART).mean()) for apart in found)
+    return by_motion > WORSE * by_flow
 
 
 def _without_lost(motion: np.ndarray, longest: np.float32) -> np.ndarray:
