@@ -42,6 +42,11 @@ LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors, doublings."""
 
 
+LEAST_CELLS = 0.1
+"""Share of the cells that hold a guide's structure, below which it is that of a thing, such as a wire, that may have
+moved; water has 0.11, other scenes 0.14 and more."""
+
+
 @dataclass(slots=True)
 class Picture:
     """One frame on the coarse grid.
@@ -200,10 +205,18 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
     if light is not None and light >= RELATED:
         return light
     guides = [_correlation(before.band(role), now.band(role), places, LEAST_SPREAD[role])
-              for role in now.guides if role in before.guides]
+              for role in now.guides if role in before.guides
+              and max(_extent(before.band(role)), _extent(now.band(role))) > LEAST_CELLS]
     known = [value for value in guides if value is not None]
     values = ([float(np.mean(known))] if known else []) + ([light] if light is not None else [])
     return max(values) if values else None
+
+
+def _extent(band: np.ndarray) -> float:
+    """Share of the cells (rows, columns, 2 halves, channels) over which the variance of a band is spread."""
+    cells = band.mean(2).reshape(band.shape[0] * band.shape[1], -1)
+    energy = np.square(cells - cells.mean(0)).sum(1)
+    return float(energy.sum() ** 2 / max(energy.size * np.square(energy).sum(), 1e-30))
 
 
 def _correlation(

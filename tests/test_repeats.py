@@ -1,4 +1,4 @@
-"""Noise that repeats is noticed, and no history is made of it; new noise and clean pictures are left alone."""
+"""Noise that repeats is noticed, and no history is made of it; other noise, and pictures without, are left alone."""
 
 import logging
 from dataclasses import replace

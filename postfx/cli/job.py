@@ -100,11 +100,6 @@ class Job:
         cuts = "auto" if arguments.cuts == "auto" else "none"
         denoising = None if arguments.no_denoise else self._values("denoiser")
         covered = asked_form() == "whole"  # by a checkerboard, under which nothing is denoised
-        both_ways = arguments.both_ways and arguments.strength != 0 and not covered
-        backwards = {**self._values("denoiser"), "error": False}  # which that of the last run tells
-        self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
-                                    **backwards) if both_ways else None
-        self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         is_picture = self.outputs is not None and self.outputs.display
         if is_picture and denoising and denoising.get("error"):
             raise OptionError(f"{arguments.output}: pictures for a display hold no plane 'error': write EXR, or leave "
@@ -112,6 +107,15 @@ class Job:
         native = not is_shown(is_picture, **self._values("look"))  # before any file is opened, which tells of it
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
+        if arguments.both_ways and self._has_flat_albedo():
+            arguments.both_ways = False
+            self.skips.append(Skip("both_ways", "albedo has one value everywhere, so that more history in one order "
+                                                "shows more of the textures"))
+        both_ways = arguments.both_ways and arguments.strength != 0 and not covered
+        backwards = {**self._values("denoiser"), "error": False}  # which that of the last run tells
+        self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
+                                    **backwards) if both_ways else None
+        self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         self._parts = self._find_parts()
         self._partner = None if covered or arguments.strength == 0 else find_partner(getattr(arguments, "with"))
         passes, skips = self._passes(denoising, self._backwards is not None, self._partner)
@@ -158,6 +162,14 @@ class Job:
 
     def _values(self, part: str) -> dict[str, Any]:
         return RUN.values_for(part, self._arguments)
+
+    def _has_flat_albedo(self) -> bool:
+        """Whether the first frame's diffuse albedo is one grey or colour: a default, or an override material."""
+        with self.sequence.open(self.first) as files:
+            if not files.spec().has(Role.DIFFUSE_ALBEDO):
+                return False
+            albedo = files.read(self.first, [Role.DIFFUSE_ALBEDO], []).planes.get(Role.DIFFUSE_ALBEDO)
+        return albedo is not None and bool(albedo[0, 0].any() and (albedo == albedo[0, 0]).all())
 
     def _make_capture(self, device: Device) -> FrameCapture:
         from postfx.report.page import FrameCapture  # loads pages, which other runs need not wait for

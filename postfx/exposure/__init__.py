@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from postfx.io.sequence import Sequence as FrameSequence
 
 KEY = 0.18
-LIMITS_EV = (-16.0, 16.0)
+LIMITS_EV = (-40.0, 40.0)
+"""Beyond them light is not finite in what follows; the darkest that is not black needs 22."""
 PERCENTILES = (2.0, 98.0)
 RANGE_EV = 9.0  # anything further below the 98th percentile counts as black
-BLACK = 2.0**-24  # mean luminance of an empty block: borders, misses
+BLACK = 2.0**-24  # mean luminance of an empty block: borders, misses; in pictures dimmer than 1, that part of theirs
 BLOCK, MOST_BLOCKS = 8, 160
 BRIGHTEN_SECONDS, DARKEN_SECONDS = 1.0, 0.4  # eyes and cameras close faster than they open
 FRAMES_PER_SECOND = 24.0
@@ -46,16 +47,16 @@ def measure(colour: np.ndarray) -> float | None:
 
     colour: (height, width, 3) scene-linear Rec.709. The mean of log2 luminance over blocks of pixels, between the
     2nd and the 98th percentile, is brought to log2(0.18); values more than 9 stops below the 98th percentile count
-    as 9 stops below. The result is limited to +-16 EV.
+    as 9 stops below. The result is limited to +-40 EV.
     """
     height, width = colour.shape[:2]
     block = max(BLOCK, math.ceil(max(height, width) / MOST_BLOCKS))
     means = np.empty((math.ceil(height / block), math.ceil(width / block)))
     share(block_means, len(means), colour, np.array([block]), means)
-    light = means[means > BLACK]
-    if light.size == 0:
+    if not (means > BLACK).any():
         return None
-    log = np.log2(light)
+    bright = float(np.percentile(means[means > 0], PERCENTILES[1]))
+    log = np.log2(means[means > BLACK * min(bright, 1.0)])  # dim pictures have dimmer blocks that count
     in_order, low_at, high_at = np.sort(log), *[(log.size - 1) * (percent / 100) for percent in PERCENTILES]
     low, high = in_order[math.floor(low_at)], in_order[math.ceil(high_at)]  # members: two blocks have no inside
     inner = np.maximum(log[(log >= low) & (log <= high)], high - RANGE_EV)

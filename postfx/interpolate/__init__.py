@@ -35,8 +35,10 @@ from postfx.interpolate.flow import (
     remove_overlay,
     tone_rows,
 )
+from postfx.interpolate.light import change_of_light, lit_at
 from postfx.interpolate.timing import camera_between, find_sparks, follow_light, keep_sparks, settle_sparks
 from postfx.kernels.statistics import is_finite, is_same_plane
+from postfx.sampling import bilinear, is_inside
 from postfx.system import at_once, begin, in_bands
 from postfx.temporal.reverse_motion import invert_motion
 
@@ -48,6 +50,13 @@ LEAST_OF_CELLS = 64
 """Pixels along a picture's shorter side from which paths are found for cells of 2x2 pixels."""
 LEAST_SEARCHED = 240
 """Pixels along the shorter side of the picture in which motion is estimated, at least where there are as many."""
+WORSE = 1.03
+"""Misfit of vectors, in that of the flow, beyond which they are not used: those of half the motion have 1.05 and more,
+of the wrong sign 2, right ones up to 0.94."""
+LOOKED_AT = 100
+"""Rows or columns of the shorter side in which the misfit is measured."""
+MOST_APART, LEAST_INSIDE = 0.1, 0.25
+"""Difference of toned light up to which a pixel counts, and the share of pixels that must lead into the picture."""
 LONGEST = 64
 """Pixels by which an overlay that was found in the picture is grown, at most."""
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -64,7 +73,9 @@ class Between:
         before, after: the two frames, scene-linear.
         later: the frame that follows, if there is one. It bends the paths of what turns or speeds up, and so does the
             motion of the frame before.
-        flow: whether motion is also estimated where there are vectors, as shadows do not move along with their surface.
+        flow: whether motion is also estimated where there are vectors, as shadows do not move along with their surface,
+            and light that changes from one frame to the other is evened out. Where the estimated motion fits better
+            than the vectors in the picture as a whole, these are not used.
         overlay: 'mix' or 'hold' (keep the earlier one's) the plane overlay.
         composited: whether the overlay is in the colour, too. It is taken out, and put over the result.
         is_cut: whether another shot begins between the two, as `reset` of the frame after says, too.
@@ -129,7 +140,7 @@ class Between:
         bend = last.bend
         if self._scale > 1:
             whole, bend = (enlarge_motion(np.ascontiguousarray(one), *self._size) for one in (whole, bend))
-        if Role.MOTION in self.after:
+        if self._has_vectors:
             whole = self.after[Role.MOTION]
         motion: np.ndarray = whole * np.float32(1 - previous) + bend * np.float32(previous * (previous - 1))
         return motion
@@ -197,7 +208,7 @@ class Between:
         """Grey pictures with margins (h + 2 MARGIN, w + 2 MARGIN), by which paths are compared."""
         h, w = self._size
         found = []
-        for picture in self._pictures:
+        for picture in self._lit(0.5):
             toned = new_array((h + 2 * MARGIN, w + 2 * MARGIN))
             in_bands(h, tone_rows, picture, self._level, MARGIN, toned)
             toned[:MARGIN], toned[h + MARGIN:] = toned[MARGIN], toned[h + MARGIN - 1]
@@ -207,7 +218,18 @@ class Between:
     @cached_property
     def _level(self) -> np.float32:
         """Light that is toned to about the middle."""
-        return middle_light(self._pictures)
+        return middle_light(self._lit(0.5))
+
+    @cached_property
+    def _change(self) -> np.ndarray | None:
+        """How light changes from the frame before to the one after; None where it does not."""
+        if Role.MOTION in self.after and not self._flow:
+            return None
+        return change_of_light(*self._pictures, self.after.planes.get(Role.MOTION), float(self._longest))
+
+    def _lit(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Colours without overlays, in the light of a time."""
+        return self._pictures if self._change is None else lit_at(*self._pictures, self._change, t)
 
     @cached_property
     def _dim(self) -> np.float32:
@@ -217,7 +239,7 @@ class Between:
     @cached_property
     def _sparks(self) -> list[np.ndarray]:
         """Cells of both frames that show sparks; empty without, without flow, and where overlays left black pixels."""
-        if not self._flow or self._composited or Role.MOTION not in self.after:
+        if not self._flow or self._composited or not self._has_vectors:
             return []
         marks = [find_sparks(picture, self._scale, self._dim, self._grid) for picture in self._pictures]
         return marks if marks[0].any() or marks[1].any() else []
@@ -238,7 +260,7 @@ class Between:
     @cached_property
     def _depths(self) -> Pair:
         """Depth (h, w, 1) of both frames; empty where one has none."""
-        if not self._both_have(Role.DEPTH):
+        if not self._has_depth:
             return np.empty((0, 0, 1), np.float32), np.empty((0, 0, 1), np.float32)
         return np.ascontiguousarray(self.before[Role.DEPTH]), np.ascontiguousarray(self.after[Role.DEPTH])
 
@@ -249,7 +271,7 @@ class Between:
             first, last = (overlay[..., 3] < COVERED for overlay in self._overlays)
             return first, last
         known = np.ones(self._size, np.bool_)
-        if self._both_have(Role.MOTION) and not self._both_have(Role.OPAQUE_COLOUR):
+        if self._both_have(Role.MOTION) and self._has_vectors and not self._both_have(Role.OPAQUE_COLOUR):
             motion = _without_lost(self.after[Role.MOTION], self._longest)
             some = _finite(motion[::4, ::4])
             size = np.abs(some[..., 0]) + np.abs(some[..., 1])
@@ -274,10 +296,24 @@ class Between:
         return ahead, back
 
     @cached_property
+    def _has_vectors(self) -> bool:
+        """Whether the frame after has motion that fits the pictures at least as well as what is estimated."""
+        if Role.MOTION not in self.after or not self._flow:
+            return Role.MOTION in self.after
+        motion, _ = self._cells_of(self.after)
+        flow = self._enlarge(self._estimated[1]) / np.float32(self._scale)
+        return not fits_better(*self._small, flow, motion)
+
+    @cached_property
+    def _has_depth(self) -> bool:
+        """Whether depth tells what is in front, for all but what is estimated in place of vectors."""
+        return self._both_have(Role.DEPTH) and (self._has_vectors or Role.MOTION not in self.after)
+
+    @cached_property
     def _flows(self) -> tuple[np.ndarray, np.ndarray]:
         """The same for cells (rows, columns, 2) in pixels, NaN where the way there and back does not end where it
         began; empty if not asked for."""
-        if not self._flow or Role.MOTION not in self.after:
+        if not self._flow or not self._has_vectors:
             return np.empty((0, 0, 2), np.float32), np.empty((0, 0, 2), np.float32)
         found = consistent_motion(*self._estimated, self._scale)
         ahead, back = at_once([lambda: self._enlarge(found[0]), lambda: self._enlarge(found[1])])
@@ -287,7 +323,7 @@ class Between:
     def _mirrored(self) -> np.ndarray:
         """Motion of what the frame after reflects, for cells, in pixels; empty where nothing tells of it."""
         needed = (Role.MOTION, Role.DEPTH, Role.SPECULAR_HIT_DISTANCE)
-        if not all(role in self.after for role in needed):
+        if not (self._has_vectors and all(role in self.after for role in needed)):
             return np.empty((0, 0, 2), np.float32)
         motion, depth = self._cells_of(self.after)
         length = _finite(self.after[Role.SPECULAR_HIT_DISTANCE])[::self._scale, ::self._scale]
@@ -325,20 +361,20 @@ class Between:
 
     @cached_property
     def _paths(self) -> tuple[paths.Paths, paths.Paths]:
-        has_depth, later = self._both_have(Role.DEPTH), self._later
+        has_depth, later = self._has_depth, self._later
         if later is not None and (not has_depth or later.reset or any(
                 role not in later or later[role].shape[:2] != self._size for role in (Role.MOTION, Role.DEPTH))):
             later = None
         frames = [self.before, self.after, *([] if later is None else [later])]
         (came, near), (motion, far), *beyond = at_once([partial(self._cells_of, frame) for frame in frames])
-        if Role.MOTION not in self.after:
-            motion = self._enlarge(self._estimated[1])
+        if not self._has_vectors:
+            motion, later, beyond = self._enlarge(self._estimated[1]), None, []
         elif self._flow and (is_lost := np.isnan(motion[..., 0])).any():
             motion = np.where(is_lost[..., None], self._enlarge(self._estimated[1]), motion)
             came = np.where(np.isnan(came), -self._enlarge(self._estimated[0]), came)
         if not has_depth:
             near, far = self._rank(motion)
-        known_from_before = Role.MOTION in self.after and Role.MOTION in self.before and not self.before.reset
+        known_from_before = self._has_vectors and Role.MOTION in self.before and not self.before.reset
         motions: list[tuple[Frame, Frame, Three]] = [(self.before, self.after, (motion, far, near))]
         motions += [(self.after, frames[2], (onward, farther, far)) for onward, farther in beyond]
         ahead, *goes = self._invert(motions)
@@ -370,7 +406,7 @@ class Between:
 
     def _choose(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What `compose` takes of the cells at a time, their paths by planes alone, and marks of `settle_sparks`."""
-        _ = self._grid if self._both_have(Role.DEPTH) and Role.MOTION in self.after else self._toned
+        _ = self._grid if self._both_have(Role.DEPTH) and Role.MOTION in self.after and not self._flow else self._toned
         leading = begin(lambda: self._paths)
         _ = self._toned
         looking = begin(lambda: self._sparks)
@@ -419,7 +455,7 @@ class Between:
         motion = new_array((*self._size, 2) if Role.MOTION in after else (0, 0, 2))
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and 1
         back = [np.float32((previous - t) * (previous - 1) / t), np.float32(previous * (previous - t) / (1 - t))]
-        in_bands(len(picture), compose, cells, self._scale, *self._pictures, *self._known, *self._depths, self._masked,
+        in_bands(len(picture), compose, cells, self._scale, *self._lit(t), *self._known, *self._depths, self._masked,
                   t, self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
         if self._pictures is self._colours:
             follow_light((self._earlier, before, after, self._later), t, picture)
@@ -500,6 +536,21 @@ class Interpolator:
         """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
+
+
+def fits_better(before: np.ndarray, after: np.ndarray, flow: np.ndarray, motion: np.ndarray) -> bool:
+    """Whether grey pictures differ less along the flow than along motion, over those pixels of the later one that both
+    lead into the earlier one, each up to MOST_APART."""
+    step = max(2, min(after.shape) // LOOKED_AT)
+    y, x = np.mgrid[:after.shape[0]:step, :after.shape[1]:step]
+    places = [(x + one[::step, ::step, 0], y + one[::step, ::step, 1]) for one in (flow, motion)]
+    inside = np.logical_and(*(is_inside(before, *place) for place in places))  # false for NaN
+    if inside.sum() < LEAST_INSIDE * inside.size:
+        return False
+    now = after[::step, ::step][inside]
+    found = [np.abs(bilinear(before, across[inside], down[inside]) - now) for across, down in places]
+    by_flow, by_motion = (float(np.minimum(apart, MOST_APART).mean()) for apart in found)
+    return by_motion > WORSE * by_flow
 
 
 def _without_lost(motion: np.ndarray, longest: np.float32) -> np.ndarray:

@@ -29,7 +29,7 @@ LITTLE = np.float32(1e-3)
 ALIKE, UNSURE, TINY = np.float32(0.05**2), np.float32(0.2), np.float32(1e-6)
 """Relative difference of both frames, squared, from which a path counts less beside others; what stands for it where
 only one frame shows a point; light below which nothing counts."""
-NEARER, HIDDEN = np.float32(0.1), np.float32(0.35)
+NEARER, HIDDEN = np.float32(0.1), np.float32(0.2)
 """Relative difference in depth of two surfaces, and what is left of the share of a path that is hidden by another."""
 CRISP = np.float32(0.97)
 """Share of detail that both frames show from which a cell keeps all of it, up to the middles of those beside: light

@@ -316,7 +316,7 @@ class Pass:
         return None
 
     def notice(self) -> str | None:
-        """What the last frame shows that the user should know and mend, in a line, or None; each thing once."""
+        """What the last frame shows that the user should mend, in a line; each thing once. None for nothing."""
         return None
 
     def savings(self) -> tuple[tuple[str, str], ...]:

@@ -72,6 +72,15 @@ def test_auto_exposure_makes_the_same_picture_of_any_light(frames, device: Devic
     np.testing.assert_allclose(outputs(frames, [DenoiseUpscale(), ToneMap()], device, 0.5), wanted, atol=1e-3)
 
 
+@pytest.mark.parametrize("factor", (3e-7, 1e-6, 1e-3, 1e5))
+def test_auto_exposure_makes_the_same_light_of_dim_and_bright_frames(factor: float, frames, device: Device) -> None:
+    """It stopped at 16 stops before, so that light of 1e-6 came out 2.3 % darker than light of 3e-7."""
+    wanted = outputs(frames[:2], [DenoiseUpscale(model="m.fp32")], device)
+    found = outputs(frames[:2], [DenoiseUpscale(model="m.fp32")], device, factor) / np.float32(factor)
+    assert found.mean() == pytest.approx(wanted.mean(), rel=1e-4)
+    np.testing.assert_allclose(found, wanted, atol=2e-3 * wanted.max())
+
+
 @pytest.mark.parametrize("factor", (0.5, 2.0))
 def test_the_hint_alone_does_not_change_the_brightness(factor: float, frames, device: Device) -> None:
     wanted = outputs(frames, [DenoiseUpscale()], device, hint=EXPOSURE)

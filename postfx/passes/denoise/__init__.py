@@ -100,8 +100,8 @@ class DenoiseUpscale(Pass):
     to the pass `both_ways`, and the plane `partner`, resampled, to the pass `mix_partner`.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. At render
-    size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone, and so does
-    one with the noise of the frame before, as with one seed for all: a history would take the noise for detail.
+    size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone. So does one
+    whose noise is that of the frame before, as with one seed for all: a history would take the noise for detail.
 
     Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0 to 1, a budget that
     is not above 0, a model that is chosen automatically and an error that no network predicts, FrameError for a frame

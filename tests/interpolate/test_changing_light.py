@@ -1,0 +1,133 @@
+"""Frames between frames of changing light, of thin things, and with vectors that are of no use."""
+
+import numpy as np
+import pytest
+
+from postfx import Between, Frame, Role
+from postfx.cuts import CutDetector
+
+HEIGHT, WIDTH, PAN, FLY = 96, 160, 3.0, (7.0, 2.0)
+Y, X = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+
+
+def texture(x, y, seed):
+    random, value = np.random.default_rng(seed), np.zeros((*x.shape, 3))
+    for _ in range(14):
+        k = random.uniform(0.05, 0.9, 2) * random.choice((-1, 1), 2)
+        value += np.sin(x * k[0] + y * k[1] + random.uniform(0, 6.3))[..., None] * random.uniform(-0.5, 0.5, 3)
+    return (0.5 + 0.16 * value).clip(0.02, None)
+
+
+def picture(time: float, light=1.0) -> tuple[np.ndarray, np.ndarray]:
+    """A wall that pans behind a disc that flies, and where the disc is."""
+    x, y = 45 + FLY[0] * time, 40 + FLY[1] * time
+    inside = ((X - x) ** 2 + (Y - y) ** 2 < 18**2)[..., None]
+    wall, disc = texture(X + PAN * time, Y, 3), texture(X - x, Y - y, 5) * (1.2, 0.7, 0.3)
+    return np.where(inside, disc, wall) * light, inside
+
+
+def frame(time: float, light=1.0, vectors: bool = True, change=lambda motion: motion, number: int = 1) -> Frame:
+    colour, inside = picture(time, light)
+    planes = {Role.COLOUR: colour}
+    if vectors:
+        motion = np.where(inside, (-FLY[0], -FLY[1]), (PAN, 0.0))
+        planes |= {Role.MOTION: change(motion), Role.DEPTH: np.where(inside, 5.0, 10.0)}
+    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=number)
+
+
+def psnr(found: np.ndarray, truth: np.ndarray) -> float:
+    one, other = ((light / (1 + light)) ** (1 / 2.2) for light in (np.maximum(found, 0), truth))
+    return float(-10 * np.log10(np.mean((one - other) ** 2)))
+
+
+def lamp(time: float) -> np.ndarray:
+    """Light around a lamp that moves on."""
+    return 1 + 4 * np.exp(-(((X - 20 - 12 * time) ** 2 + (Y - 50) ** 2) / 30**2))[..., None]
+
+
+LIGHTS = {
+    "a flash": (1.0, 4.0),
+    "lightning": (1.0, 50.0),
+    "a fade": (1.0, 0.5),
+    "another colour": (1.0, np.array([6.0, 2.0, 1.2])),
+    "a lamp that moves": (lamp(0), lamp(1)),
+    "a lamp that goes on": (1.0, lamp(1)),
+}
+
+
+@pytest.mark.parametrize("vectors", [True, False])
+@pytest.mark.parametrize("kind", LIGHTS)
+def test_light_is_that_of_the_time_everywhere(kind, vectors):
+    """Also where one frame alone shows a place. Before, these were 3 to 15 dB below steady light."""
+    first, last = (np.broadcast_to(light, (HEIGHT, WIDTH, 3)) for light in LIGHTS[kind])
+    wanted, _ = picture(0.5, lamp(0.5) if kind == "a lamp that moves" else (first + last) / 2)
+    pair = frame(0, first, vectors), frame(1, last, vectors)
+    found = Between(*pair).frame(0.5)[Role.COLOUR]
+    blend = (pair[0][Role.COLOUR] + pair[1][Role.COLOUR]) / 2
+    assert psnr(found, wanted) > max(37 if vectors else 30, psnr(blend, wanted) - 0.2)
+
+
+def test_the_first_quarter_has_a_quarter_of_the_change():
+    found = Between(frame(0), frame(1, 4.0)).frame(0.25)[Role.COLOUR]
+    assert psnr(found, picture(0.25, 1.75)[0]) > 37
+
+
+def test_steady_light_is_left_as_it_is():
+    assert Between(frame(0), frame(1))._change is None
+    assert Between(frame(0, vectors=False), frame(1, vectors=False))._change is None
+    assert Between(frame(0), frame(1, 1.05))._change is None
+
+
+WRONG = {
+    "the other sign": np.negative,
+    "of half the time": lambda motion: motion / 2,
+    "(1, 1) for none": np.ones_like,
+    "parts of the picture": lambda motion: motion / WIDTH,
+}
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_vectors_that_do_not_fit_are_not_used(kind):
+    """As of frames that are held: vectors of one step where the picture moves by two."""
+    pair = frame(0, change=WRONG[kind]), frame(1, change=WRONG[kind])
+    none = frame(0, vectors=False), frame(1, vectors=False)
+    wanted, _ = picture(0.5)
+    found, flow = (psnr(Between(*one).frame(0.5)[Role.COLOUR], wanted) for one in (pair, none))
+    assert found > flow - 0.3
+
+
+def test_a_held_frame_stays_where_its_vectors_say_that_it_moves():
+    random = np.random.default_rng(5)
+    pair = [frame(0), frame(0)]
+    for one in pair:
+        one.planes[Role.COLOUR] = one[Role.COLOUR] + random.normal(0, 0.01, (HEIGHT, WIDTH, 3)).astype(np.float32)
+    assert psnr(Between(*pair).frame(0.5)[Role.COLOUR], picture(0)[0]) > 48
+
+
+def test_right_vectors_are_used():
+    found = Between(frame(0), frame(1))
+    assert found._has_vectors
+    assert psnr(found.frame(0.5)[Role.COLOUR], picture(0.5)[0]) > 38
+
+
+def wire(time: float, vectors: bool) -> Frame:
+    """A line of one pixel in front of a wall that stands still, with vectors of what covers most of a pixel."""
+    size, step = 6, 5.0
+    y, x = (np.mgrid[:HEIGHT * size, :WIDTH * size] + 0.5) / size
+    cover = np.abs((x - 30 - step * time) - (y - 40) * 0.3) / np.hypot(1, 0.3) < 0.5
+    cover = cover.reshape(HEIGHT, size, WIDTH, size).mean((1, 3))[..., None]
+    planes = {Role.COLOUR: texture(X, Y, 3) * (1 - cover) + 0.02 * cover}
+    if vectors:
+        planes[Role.DEPTH] = np.where(cover > 0.3, 3.0, 10.0)
+        planes[Role.MOTION] = np.where(cover > 0.3, (-step, 0.0), (0.0, 0.0))
+    return Frame({role: plane.astype(np.float32) for role, plane in planes.items()}, number=int(time))
+
+
+def test_a_wire_is_no_cut_and_no_worse_with_vectors():
+    detect = CutDetector()
+    assert not any(detect(wire(time, True)) for time in range(3))
+    wanted, quality = wire(0.5, False)[Role.COLOUR], {}
+    for vectors in (True, False):
+        frames = [wire(time, vectors) for time in range(3)]
+        quality[vectors] = psnr(Between(*frames).frame(0.5)[Role.COLOUR], wanted)
+    assert quality[True] > quality[False] - 0.5
