@@ -120,11 +120,10 @@ else:
                 return
             kernels = load_kernel_build()
             target = os.environ.get("POSTFX_TARGET") or kernels.this_target()
-            folder = kernels.PACKAGED / target
-            libraries = kernels.build(kernels.our_units(), target, folder)
-            if version != "editable":
-                digest = kernels.digest_of(kernels.our_units(), target)
-                for path in (*libraries.values(), folder / f"{digest}.json"):
+            if version == "editable":
+                kernels.build_here()
+            else:
+                for path in kernels.build_all(target, kernels.PACKAGED / target):
                     build_data["force_include"][str(path)] = f"postfx/_native/{target}/{path.name}"
                 build_data.update(tag=f"py3-none-{kernels.TARGETS[target].tag}", pure_python=False)
             write(PAGE)

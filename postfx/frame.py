@@ -39,6 +39,8 @@ class Role(StrEnum):
     LATER = "later"
     PARTNER = "partner"
     DENOISING_ALBEDO = "denoising_albedo"
+    DENOISING_NORMAL = "denoising_normal"
+    ERROR = "error"
     VARIANCE_OF_MEAN = "variance_of_mean"
     SAMPLE_VARIANCE = "sample_variance"
     SECOND_MOMENT = "second_moment"
@@ -83,6 +85,8 @@ ROLES: Mapping[Role, RoleInfo] = {
     Role.LATER: RoleInfo(4, "radiance and weight", "scene-linear Rec.709", "0..inf", "RGBA, times weight"),
     Role.PARTNER: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "of another denoiser"),
     Role.DENOISING_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "also of what mirrors and glass show"),
+    Role.DENOISING_NORMAL: RoleInfo(3, "none", "camera, as in files", "-1..1", "also of what mirrors and glass show"),
+    Role.ERROR: RoleInfo(1, "squared code values", "sRGB of x / (1 + x)", "0..1", "expected of the denoised colour"),
     Role.VARIANCE_OF_MEAN: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "squared standard error of the pixel"),
     Role.SAMPLE_VARIANCE: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "of a pixel's samples"),
     Role.SECOND_MOMENT: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "mean of a pixel's squared samples"),

@@ -61,6 +61,7 @@ class Pipeline:
         cut: whether the last frame was found to begin another shot.
         bad_pixels: plane -> how many of its pixels in the last frame were not finite, see
             `postfx.repair.repair_nonfinite`.
+        noticed: what passes found in the last frame that is to be mended, a line each, which is told once.
 
     The other views of a frame (`Frame.views`) run through copies of the passes, each with its own history, and with the
     exposure and the cuts of the frame itself; times and counts are those of all views.
@@ -84,6 +85,7 @@ class Pipeline:
         self.exposure: float | None = None
         self.cut = False
         self.bad_pixels: dict[Role, int] = {}
+        self.noticed: tuple[str, ...] = ()
         self.ahead: tuple[float, ...] = ()
         self._meter = exposure if callable(exposure) else ExposureMeter(exposure)
         self._detector = CutDetector() if cuts == "auto" else None
@@ -123,7 +125,7 @@ class Pipeline:
     def _process(self, frame: Frame) -> Frame:
         plan, self.ahead = self._make_plan(frame.spec), ()
         if not plan.steps:
-            self.timings, self.exposure, self.cut, self.bad_pixels = {}, None, False, {}
+            self.timings, self.exposure, self.cut, self.bad_pixels, self.noticed = {}, None, False, {}, ()
             return frame
         frame, self.bad_pixels = repair_nonfinite(frame, plan.planes, self.device.scratch)
         self.cut = self._is_cut(frame)
@@ -137,6 +139,9 @@ class Pipeline:
         run = self._run_up_to(frame, plan)
         result = self._flow.run(run, plan, self.exposure, is_unusable(frame, self.bad_pixels), frame)
         self._begins, self.timings = False, dict(self._flow.timings)
+        self.noticed = tuple(filter(None, (step.instance.notice() for step in plan.steps)))
+        for text in self.noticed if self._checks else ():
+            LOG.warning("frame %d: %s", frame.number, text)
         for role, pixels in self.bad_pixels.items():
             LOG.warning("frame %d: %d pixels of plane '%s' were no finite numbers and were repaired",
                         frame.number, pixels, role)

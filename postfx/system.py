@@ -101,6 +101,24 @@ def share_one_heap() -> None:
         mallopt(MOST_HEAPS, 1)
 
 
+class _Malloc(ctypes.Structure):
+    """What glibc's malloc tells of itself: mallinfo2 of its malloc.h."""
+
+    _fields_ = tuple((name, ctypes.c_size_t) for name in (
+        "arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks",
+        "fordblks", "keepcost"))
+
+
+def allocated_bytes() -> int | None:
+    """Bytes that this process holds from the C library's malloc; None where that is not glibc's."""
+    tell = getattr(ctypes.CDLL(None), "mallinfo2", None) if sys.platform == "linux" else None
+    if tell is None:
+        return None
+    tell.restype = _Malloc
+    told = tell()
+    return int(told.hblkhd + told.uordblks)  # mapped one by one, and out of the heaps
+
+
 def usable_memory() -> int:
     """Bytes that this process may have: the machine's, or fewer if its container gets less."""
     return min([_machine_memory(), *(most for most, in _limits("memory", ("memory.max",), ("memory.limit_in_bytes",)))])

@@ -4,7 +4,7 @@ python samples/occlusion.py [PICTURE] [--train FOLDER --held-out FOLDER] [--step
 
 The classical way is GTAO (postfx/kernels/occlusion.py). A small network, 101-64-64-1, reads at each pixel what GTAO
 compares, and its result, and learns from ray-traced pixels by the fused kernels of postfx.neural. Then it runs as ONNX
-by the machine-learning encoder, and so does a U-Net that sees the whole picture (samples/occlusion.onnx, made by
+by the machine-learning encoder, and so does a U-Net that sees the whole picture (models/occlusion.onnx, made by
 `python -m training.occlusion`; `--unet` is the folder of another). Without folders, both sets are blocks and balls that
 are ray-traced here, from other seeds. With them, they are views by `python -m training.datagen.occlusion`. Sides are
 multiples of 16. Prints PSNR of visibility within radii of 0.06, 0.125 and 0.25 of the median depth, of the mean squared
@@ -24,6 +24,7 @@ from postfx.kernels.numeric import kernel_jit
 from postfx.kernels.occlusion import FAR, HORIZONS, LOOK, LOOKS, SMOOTH, SURFACE
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable, Tensor
+from postfx.system import models_dir
 
 RADII, SETTINGS = (0.06, 0.125, 0.25), (0.9, 0.0)
 LATTICE = 0.7548776662466927, 0.5698402909980532
@@ -126,7 +127,7 @@ parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "occlusion.png")
 parser.add_argument("--train", type=Path, help="folder of views to learn from")
 parser.add_argument("--held-out", type=Path, help="folder of views to measure on")
-parser.add_argument("--unet", type=Path, default=Path(__file__).parent, help="folder with the U-Net, occlusion.onnx")
+parser.add_argument("--unet", type=Path, default=models_dir(), help="folder with the U-Net, occlusion.onnx")
 parser.add_argument("--views", type=int, default=24, help="of blocks to learn from; a quarter as many are held out")
 parser.add_argument("--size", type=int, nargs=2, default=(192, 128), help="of views of blocks")
 parser.add_argument("--steps", type=int, default=2000)

@@ -72,10 +72,10 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 
 ROOMS = (
-    *_kernels("features", 5, "denoise_features", "denoise_guides", "denoise_trust", "denoise_upsample_guided"),
+    *_kernels("features", 1, "denoise_features", "denoise_guides", "denoise_trust", "denoise_upsample_guided"),
     *_kernels("pyramid", 3, "denoise_pool", "denoise_mix", "denoise_filter", "denoise_remodulate",
               "denoise_alpha_level", "denoise_enlarge_alpha"),
-    *_kernels("prepare", 3, "denoise_scale", "denoise_dilate", "denoise_means", "denoise_accumulate"),
+    *_kernels("prepare", 1, "denoise_scale", "denoise_dilate", "denoise_means", "denoise_accumulate"),
     *_kernels("network_io", 2, "denoise_pack", "denoise_open", "denoise_store", "stored"),
     *_kernels("output", 3, "denoise_judge", "denoise_detail", "denoise_restore", "detail_is_told", "denoise_assemble",
               "denoise_strength"),
@@ -83,7 +83,7 @@ ROOMS = (
     *_kernels("history", 5, "denoise_history", "denoise_resize", "denoise_reactive", "denoise_spread", "denoise_keep",
               "denoise_reflections", "error_of_reflections", also="tests/passes/test_denoise_reflections.py"),
     *_kernels("upsample", 3, "denoise_upsample"),
-    *_kernels("parts", 3, "denoise_accumulate_part", "denoise_reflectance", "denoise_upsample_light", "denoise_balance",
+    *_kernels("parts", 1, "denoise_accumulate_part", "denoise_reflectance", "denoise_upsample_light", "denoise_balance",
               "denoise_decode"),
     _room("kernels/neural.py", 2, "neural"),
     _room("kernels/common.cuh", 0, "kernels/test_cuda_kernels.py", "-k 'denoise_history or denoise_upsample_light'"),
@@ -166,7 +166,7 @@ CHOSEN = (
     ("py", "or abs(columns[1]) > MARGIN - 3", "or columns[1] > MARGIN - 3"),
     ("py", "max(held, low * alpha)", "max(held, low)"),
     ("py", "rows[y] == columns[x] else greys[1]", "rows[y] != columns[x] else greys[1]"),
-    ("py", "return halo_of(models) * 4 // 3", "return halo_of(models) // 3"),
+    ("py", "_halo(model) * 4 // 3", "_halo(model) // 3"),
     ("py", "min(max(0, first - halo) // grid * grid, last)", "min(max(0, first - halo), last)"),
     ("py", 'pack("<2i", top + place * lines, len(chunk))', 'pack("<2i", top, len(chunk))'),
     ("py", "if len(packed) < plain.size else plain.tobytes()", ""),

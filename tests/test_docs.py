@@ -92,14 +92,16 @@ def test_the_examples_cuda_source_computes_what_its_rows_do(vignette, monkeypatc
 def test_the_runtime_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = {}
-    first, again, transient, capture = blocks("runtime.md", "python")
+    first, again, inside, transient, capture = blocks("runtime.md", "python")
     exec(first, names)
     assert np.isfinite(names["grid"].array).all() and names["grid"].array.any()
     exec(again, names)
     assert names["commands"].label == "frame 4"
     assert [label for label, _ in names["commands"].timings] == ["prepare", "coefficients"]
+    exec(inside, names)
+    assert names["commands"].label == "frame 5" and names["heap"].size == (names["network"].intermediates_size or 0)
     exec(transient, names)
-    assert names["commands"].label == "frame 5" and "0.0 % over the bound" in capsys.readouterr().out
+    assert names["commands"].label == "frame 6" and "0.0 % over the bound" in capsys.readouterr().out
     exec(capture, names)
     assert "prepare" in (tmp_path / "look/capture.json").read_text() and (tmp_path / "look/capture.html").is_file()
 

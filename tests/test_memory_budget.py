@@ -11,6 +11,7 @@ import pytest
 from postfx import Device, Frame, Pipeline, Role
 from postfx.errors import MemoryBudgetError
 from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.models import seamless
 from postfx.passes.denoise.tiling import Sizes, bands_within
 from postfx.passes.tonemap import ToneMap
 from postfx.runtime import DeviceError, device
@@ -98,15 +99,15 @@ def test_a_budget_that_is_too_small_names_the_smallest_that_would_do() -> None:
     with pytest.raises(MemoryBudgetError, match="330x300 cannot be denoised within 320M: give a memory") as error:
         Pipeline([DenoiseUpscale(model="s")], Device("cpu", memory="320M"))(frame)
     least, sizes = str(error.value).split()[-3], Sizes(300, 330, 600, 660)
-    assert len(bands_within(Scratch(least), sizes, ["denoise_upscale.s.int8"])) > 1
+    assert len(bands_within(Scratch(least), sizes, seamless(["denoise_upscale.s.int8"]))) > 1
     with pytest.raises(MemoryBudgetError):
-        bands_within(Scratch(parse_size(least) - (2 << 20)), sizes, ["denoise_upscale.s.int8"])
+        bands_within(Scratch(parse_size(least) - (2 << 20)), sizes, seamless(["denoise_upscale.s.int8"]))
 
 
 @pytest.mark.parametrize(("side", "budget"), [(1024, "600M"), (4096, "800M"), (4096, "4G"), (8192, "1100M")])
 def test_the_commands_of_all_tiles_fit_in(side: int, budget: str) -> None:
     """Each takes some 0.2 MB, whatever the size of its window."""
-    bands = bands_within(Scratch(budget), Sizes(side, side, 2 * side, 2 * side), ["denoise_upscale.m.int8"])
+    bands = bands_within(Scratch(budget), Sizes(side, side, 2 * side, 2 * side), seamless(["denoise_upscale.m.int8"]))
     tiles = [tile for band in bands for tile in band.tiles]
     windows = max(tile.window.rows * tile.window.columns for tile in tiles)
     assert 200_000 * len(tiles) + 2400 * windows < parse_size(budget) - (300 << 20)

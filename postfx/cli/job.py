@@ -7,7 +7,7 @@ import dataclasses
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack, nullcontext
 from functools import cached_property, partial
 from math import log2
@@ -100,10 +100,14 @@ class Job:
         denoising = None if arguments.no_denoise else self._values("denoiser")
         covered = asked_form() == "whole"  # by a checkerboard, under which nothing is denoised
         both_ways = arguments.both_ways and arguments.strength != 0 and not covered
+        backwards = {**self._values("denoiser"), "error": False}  # which that of the last run tells
         self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
-                                    **self._values("denoiser")) if both_ways else None
+                                    **backwards) if both_ways else None
         self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         is_picture = self.outputs is not None and self.outputs.display
+        if is_picture and denoising and denoising.get("error"):
+            raise OptionError(f"{arguments.output}: pictures for a display hold no plane 'error': write EXR, or leave "
+                              "error out of --aov")
         native = not is_shown(is_picture, **self._values("look"))  # before any file is opened, which tells of it
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
         self.first = first_readable(self.sequence, OnError.SKIP if arguments.explain else policy)
@@ -128,7 +132,7 @@ class Job:
             self.skips += skips
         if not arguments.explain and arguments.model != "classic" and device.memory.host_visible and not device.scratch:
             check_memory(self.plan, self.sequence)
-        self._first_look = self._planes_of_later_frames()
+        self._noticed = self._planes_of_later_frames()
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits, arguments.compression)
@@ -225,6 +229,7 @@ class Job:
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         self._look(frame, tell)
         result = self.pipeline(frame)
+        self._tell_noticed(number, tell)
         for path, picture in self._files().split(result):
             write_frame(path, picture, relax=self._relax, **self._format)
         return self._files().path(number)
@@ -240,7 +245,7 @@ class Job:
             pass_ms=self._pass_ms,
             ahead_ms=self._ahead_ms,
             skips=[*self.plan.skips, *self.skips, *self.pipeline.savings()],
-            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *self._first_look,
+            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *self._noticed,
                       *(self._capture.warnings if self._capture else ()),
                       *self._exposure.warnings(),
                       *warn_of_budget(self._arguments.budget, self._pass_ms, self._choices)],
@@ -295,7 +300,7 @@ class Job:
             are = "is" if len(missing) == 1 else "are"
             progress.note(f"{len(missing)} of {len(wanted)} frames {are} missing, --on-error "
                           f"{self._arguments.on_error} goes on without: {format_frames(missing)}")
-        for text in self._first_look:
+        for text in self._noticed:
             progress.note(f"warning  {text}")
         if self._smooth:
             progress.note("metering all frames first, for --exposure smooth")
@@ -342,7 +347,7 @@ class Job:
                     frame = self._faults.attempt(work.number, work.write, ahead)
                     is_unseen = frame is None
                 with capturing(work.number):
-                    done = None if frame is None else self._process(work, frame)
+                    done = None if frame is None else self._process(work, frame, progress.note)
                 if done is None and work.write:
                     done = self._faults.substitute(work.number)
                 if work.write and done:
@@ -378,8 +383,15 @@ class Job:
         """Tell what is plainly wrong with the first frames at once, not after a night."""
         if self._arguments.no_denoise or self.pipeline.device.scratch:
             return
-        for text in self._looker.look(frame):
-            self._first_look.append(text)
+        self._tell(self._looker.look(frame), tell)
+
+    def _tell_noticed(self, number: int, tell: Callable[[str], None]) -> None:
+        self._tell([f"frame {number}: {text}" for text in self.pipeline.noticed], tell)
+
+    def _tell(self, texts: Iterable[str], tell: Callable[[str], None]) -> None:
+        """Tell at once what is to be mended, and again at the end."""
+        for text in texts:
+            self._noticed.append(text)
             tell(f"warning  {text}")
 
     def _look_ahead(self, frame: Frame, write: bool, stop: Stop, progress: FrameProgress) -> Frame:
@@ -407,7 +419,7 @@ class Job:
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame
 
-    def _process(self, work: Work, frame: Frame) -> FrameResult | None:
+    def _process(self, work: Work, frame: Frame, tell: Callable[[str], None]) -> FrameResult | None:
         """A frame after the passes; None if they failed and the run goes on."""
         begin, passes, compiling = time.perf_counter(), self.pipeline, self._watch.seconds
         result = self._faults.attempt(work.number, work.write, partial(passes, frame))
@@ -416,6 +428,7 @@ class Job:
         self._ahead_ms += passes.ahead
         if passes.cut:
             self._cuts.append(work.number)
+        self._tell_noticed(work.number, tell)
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0

@@ -30,6 +30,7 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
         sets: which part of a run gets the value, and as which parameter, like "denoiser.scale"; "" if the verb itself
             reads it.
         convert: makes the parameter of the value.
+        also: other parameters that it sets, each with what makes it of the value.
         off: the value that asks for nothing, beside None and False.
         excludes: flag, or "flag=value", of another option -> the message if both are given; {flag} in it is this one.
         needs: flag of another option -> the message if that is missing.
@@ -56,6 +57,7 @@ class Option(NamedTuple):  # not a dataclass, whose module would take longer to 
     either: str = ""
     sets: str = ""
     convert: Callable[[Any], Any] | None = None
+    also: Mapping[str, Callable[[Any], Any]] = {}
     off: Any = None
     excludes: Mapping[str, str] = {}
     needs: Mapping[str, str] = {}
@@ -174,10 +176,11 @@ class Options:
         """Parameters of a part of the run, from the options that set one and are given."""
         found = {}
         for option in self:
-            owner, _, parameter = option.sets.partition(".")
-            value = option.value(arguments) if owner == part else None
-            if owner == part and value is not False and not (value is None and option.default is None):
-                found[parameter] = option.convert(value) if option.convert else value
+            for sets, convert in {option.sets: option.convert, **option.also}.items():
+                owner, _, parameter = sets.partition(".")
+                value = option.value(arguments) if owner == part else None
+                if owner == part and value is not False and not (value is None and option.default is None):
+                    found[parameter] = convert(value) if convert else value
         return found
 
     def fill(self, arguments: argparse.Namespace, given: Collection[str], values: Mapping[str, Any]) -> list[str]:

@@ -280,14 +280,34 @@ DENOISING = Section("denoising and size", (
            "difference has scale= and threshold=, e.g. auto,scale=8"),
 ))
 
+_ERROR = "error"
+"""The name in --aov of what no file holds: what the network expects to be off."""
+
+
+def _words(names: str) -> list[str]:
+    return [word.strip() for word in names.split(",") if word.strip()]
+
+
+def _name_layers(names: str) -> str | None:
+    """What --aov names of the files; None for nothing."""
+    layers = [word for word in _words(names) if word != _ERROR]
+    return ",".join(layers) or None
+
+
+def _asks_error(names: str) -> bool:
+    return _ERROR in _words(names)
+
+
 PARTS = Section("masks and parts of the picture", (
     Option(flag="--leave", metavar="NAMES", sets="sequence.leave", excludes=_FOR_DENOISER,
            help="what to leave as it is: objects or materials of a Cryptomatte, ids of a plane, 'auto' for a "
            "noise-free sky, 'converged:0.01' for pixels with at most 1 %% of error, or 'converged:256spp'. A strength "
            "may follow =, e.g. auto,sky_*,logo=0.5,7-9@id"),
-    Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov", excludes=_FOR_DENOISER,
+    Option(flag="--aov", metavar="NAMES|auto", sets="sequence.aov", convert=_name_layers,
+           also={"denoiser.error": _asks_error}, excludes=_FOR_DENOISER,
            help="light groups and passes to denoise with the picture, so that they still add up to it: names like "
-           "'key,fill,rim', or auto for those that the profile knows (docs/howto/parts.md)"),
+           "'key,fill,rim', or auto for those that the profile knows (docs/howto/parts.md). The name error adds the "
+           "squared error that the network expects of each pixel"),
     Option(flag="--aov-denoise", metavar="KIND=LAYER,...", sets="sequence.aov_denoise",
            excludes=_FOR_DENOISER,
            help="other layers to denoise by the picture's filters, each with its kind, like 'normal=N,mist=Mist': "

@@ -26,7 +26,7 @@ OF_ONE_FRAME: tuple[Check, ...] = (
 """Checks that take no more than one frame."""
 
 OF_SEVERAL: tuple[Check, ...] = (
-    partial(motion_checks.check_samples_repeat, least=0.3),  # fine moving texture comes to 0.25
+    partial(motion_checks.check_samples_stay, least=0.3),  # fine moving texture comes to 0.25
     motion_checks.check_motion_at_a_glance,
 )
 """Checks that compare frames of a shot: one seed for all, vectors of the wrong sign, axes or unit."""

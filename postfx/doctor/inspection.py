@@ -127,7 +127,7 @@ def _findings_of_guides(frame: Frame) -> Iterator[Finding]:
                 yield replace(finding, evidence=f"guides: {finding.evidence}")
 
 
-MADE_OR_RARE = (Role.LATER, Role.PARTNER, Role.DENOISING_ALBEDO)
+MADE_OR_RARE = (Role.LATER, Role.PARTNER, Role.DENOISING_ALBEDO, Role.DENOISING_NORMAL, Role.ERROR)
 """Planes that passes make, or that few can do with: nobody misses them."""
 
 
@@ -337,9 +337,9 @@ _MAPPINGS: Mapping[Role, Callable[[np.ndarray], np.ndarray]] = {
     Role.OPAQUE_COLOUR: _light,
     Role.DIFFUSE_ALBEDO: srgb_encode,
     Role.SPECULAR_ALBEDO: srgb_encode,
-    Role.NORMAL: lambda plane: plane / 2 + 0.5,
+    **dict.fromkeys((Role.NORMAL, Role.DENOISING_NORMAL), lambda plane: plane / 2 + 0.5),
     Role.DEPTH: _near,
     Role.MOTION: _direction,
     **dict.fromkeys((Role.SPECULAR_HIT_DISTANCE, *ERROR_ROLES), _over_median),
-    **{role: lambda plane: plane for role in (Role.ALPHA, Role.ROUGHNESS, Role.STRENGTH, Role.REACTIVE)},
+    **{role: lambda plane: plane for role in (Role.ALPHA, Role.ROUGHNESS, Role.STRENGTH, Role.REACTIVE, Role.ERROR)},
 }

@@ -23,6 +23,7 @@ from postfx.doctor.motion_variants import (
     score_variants,
 )
 from postfx.frame import Frame, Role
+from postfx.repeats import ONE_SEED, RepeatDetector
 from postfx.sampling import local_mean
 
 BETTER, BETTER_BY_JITTER, BETTER_THAN_NONE = 0.85, 0.95, 0.65
@@ -292,8 +293,7 @@ def check_motion_coded(material: Material) -> Iterator[Finding]:
 
 LEAST_MOVE = 1.0  # pixels: below, a texture that stays in place looks like noise that stays in place
 REPEATED = 0.15
-ONE_SEED = ("the same random seed in every frame",
-            "change the seed with the frame number (Blender: Noise > Seed, clock icon; Mitsuba: seed of render)")
+NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 2), (0, -2), (2, 0), (-2, 0))
 STEPS = (0.25, 0.125)
 LEAST_JITTER = 0.12  # pixels, root mean square
 FITS_BETTER = 0.82
@@ -375,15 +375,27 @@ def check_jitter_missing(material: Material) -> Iterator[Finding]:
                       "y down")
 
 
-def check_samples_repeat(material: Material, least: float = REPEATED) -> Iterator[Finding]:
-    """Noise that stays in its place while the picture moves, or does not change at all. least: how much more it is
-    correlated in the same pixel than nearby."""
+def check_samples_repeat(material: Material) -> Iterator[Finding]:
+    """Noise that stays in its place while the picture stands still, or moves."""
+    if share := _repeated_share(material):
+        yield error(Role.COLOUR, "samples-correlated", f"where the picture hardly moves, noise is the same in all "
+                    f"frames, in {100 * share:.0f} % of the squares looked at", *ONE_SEED)
+        return
     pairs = [(a, b) for a, b in material.pairs if Role.COLOUR in a and Role.COLOUR in b]
     if pairs and all(_identical(*pair) for pair in pairs):
         noise = noise_level(pairs[0][0][Role.COLOUR])
         yield error(Role.COLOUR, "samples-correlated", f"noise of {noise:.3g}, the same to the bit in {len(pairs) + 1} "
                     "frames", *ONE_SEED)
         return
+    yield from check_samples_stay(material)
+
+
+def check_samples_stay(material: Material, least: float = REPEATED) -> Iterator[Finding]:
+    """Noise that stays in its place while the picture moves, but not along its motion, which the denoiser tells. least:
+    how much more it is correlated in the same pixel than nearby."""
+    if _repeated_share(material):
+        return
+    pairs = [(a, b) for a, b in material.pairs if Role.COLOUR in a and Role.COLOUR in b]
     found = [value for pair in pairs if not pair[1].reset and (value := _correlate_repeats(*pair)) is not None]
     if not found:
         if pairs:
@@ -397,6 +409,18 @@ def check_samples_repeat(material: Material, least: float = REPEATED) -> Iterato
         yield error(Role.COLOUR, "samples-correlated", evidence, *ONE_SEED)
 
 
+def _repeated_share(material: Material) -> float:
+    """Share of the picture whose noise repeats along the motion, 0 unless it does in most pairs of frames."""
+    detect, found = RepeatDetector(), []
+    for before, now in material.pairs:
+        if Role.COLOUR in before and Role.COLOUR in now and not now.reset:
+            detect.reset()
+            planes = [{role: finite(plane) for role, plane in frame.planes.items()} for frame in (before, now)]
+            detect(planes[0])
+            found.append(detect.share if detect(planes[1]) else 0.0)
+    return float(np.median(found)) if found else 0.0
+
+
 def _identical(before: Frame, now: Frame) -> bool:
     """Whether colour that holds noise is the same to the bit."""
     colour, level = now[Role.COLOUR], noise_level(now[Role.COLOUR])
@@ -406,17 +430,18 @@ def _identical(before: Frame, now: Frame) -> bool:
 
 
 def _correlate_repeats(before: Frame, now: Frame) -> tuple[float, float] | None:
-    """Correlation of the noise in the same pixel and in pixels nearby, on surfaces that move."""
+    """Correlation of the noise in the same pixel, and the largest in one next to it, on surfaces that move: structure
+    that moves by a pixel or two is as much alike there."""
     if min(now[Role.COLOUR].shape[:2]) < 32 or Role.MOTION not in now:
         return None
     moves = np.linalg.norm(finite(now[Role.MOTION]), axis=-1) > LEAST_MOVE
     one, other = _noise(before), _noise(now)
     used = moves & (one != 0) & (other != 0)
-    used[:, :8] = used[:, -8:] = False
+    used[:2] = used[-2:] = used[:, :2] = used[:, -2:] = False
     if used.sum() < 500:
         return None
-    shifted = [correlation(np.roll(one, step, axis=1)[used], other[used]) for step in (-7, -4, 4, 7)]
-    return correlation(one[used], other[used]), float(np.mean(shifted))
+    shifted = [correlation(np.roll(one, step, (0, 1))[used], other[used]) for step in NEXT]
+    return correlation(one[used], other[used]), max(0.0, *shifted)
 
 
 def _noise(frame: Frame) -> np.ndarray:

@@ -37,6 +37,7 @@ _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": 
 SRGB_DISPLAY = parse_display("srgb")
 LEAST_FACTOR = np.float32(1 / 256)
 """Black in 8 bits: what light that reached a place without colour is divided by."""
+ERROR_LAYER = "error.V"
 OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 
 
@@ -87,7 +88,7 @@ def write_frame(
     bits: int | None = None,
     compression: str = "zip",
 ) -> Path:
-    """Write colour and alpha of a frame; returns the path.
+    """Write colour and alpha of a frame; returns the path. An EXR also holds the plane `error` of a frame that has one.
 
     EXR holds linear light: a display-encoded frame is decoded, in its display's primaries, and 1 is white. The input's
     windows are scaled to the frame's size, and its useful header attributes kept. Beside scene-linear colour also an
@@ -236,6 +237,7 @@ def _linear_pixels(frame: Frame, half: bool) -> Pixels:
         colour = frame[Role.COLOUR][rows]
         colour = light_of(colour, display) if display else colour
         pixels = _with_parts(_with_layer(_with_alpha(colour, frame, rows), frame, rows), frame, rows)
+        pixels = np.concatenate([pixels, frame[Role.ERROR][rows]], axis=2) if Role.ERROR in frame else pixels
         return to_halves(pixels) if half else pixels
 
     return convert
@@ -307,6 +309,12 @@ def _part_channels(frame: Frame) -> tuple[str, ...]:
     return tuple(names)
 
 
+def _further_channels(frame: Frame) -> tuple[str, ...]:
+    """Names of the channels behind the picture's."""
+    overlay, error = OVERLAY_LAYER if _has_layer(frame) else (), (ERROR_LAYER,) * (Role.ERROR in frame)
+    return (*overlay, *_part_channels(frame), *error)
+
+
 def _has_layer(frame: Frame) -> bool:
     """Whether the overlay is written: it cannot be composited with light of a display."""
     return Role.OVERLAY in frame and frame.encoding == "scene-linear"
@@ -316,7 +324,7 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) 
     channels, shown = pixels.shape[2], is_display_format(path)
     window = windows.display if shown else windows.data
     spec = oiio.ImageSpec(window.width, window.height, channels, oiio.TypeDesc(_STORAGE[pixels.dtype.name]))
-    layer = (OVERLAY_LAYER if _has_layer(frame) and not shown else ()) + (() if shown else _part_channels(frame))
+    layer = () if shown else _further_channels(frame)
     spec.channelnames = ("R", "G", "B", "A")[: channels - len(layer)] + layer
     display = _display_of(frame)
     if shown:

@@ -1,16 +1,19 @@
 """Compiles the kernels' C++ by ziglang, for this machine or any other: one shared library for each level of a
-processor, in a folder with an index, which is written last.
+processor, in a folder with an index, which is written last. Each file is compiled by itself and its object is kept, so
+that a change costs the files that it touches.
 
 Only the standard library is used, and nothing else of this package: a build hook runs this file by itself.
 """
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import importlib.util
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import tempfile
@@ -19,7 +22,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 HERE = Path(__file__).resolve().parent
 PACKAGED = HERE.parent / "_native"
@@ -27,10 +30,13 @@ PACKAGED = HERE.parent / "_native"
 ZIG = "0.17.1"
 """The compiler's version; another one may give other bits. `pyproject.toml` has the same."""
 FLAGS = (
-    "-std=c++20", "-O3", "-shared", "-fPIC", "-s", "-fvisibility=hidden", "-fno-exceptions", "-fno-rtti",
+    "-std=c++20", "-O3", "-fPIC", "-fvisibility=hidden", "-fno-exceptions", "-fno-rtti",
     "-ffp-contract=on",  # a * b + c becomes one instruction where the source says so, not where a compiler likes
-    "-fno-math-errno", "-fno-trapping-math", "-fno-sanitize=all", "-Wall", "-Wextra", "-Werror", "-Wno-psabi",
+    "-fno-math-errno", "-fno-trapping-math", "-fno-sanitize=all",
+    "-fno-slp-vectorize",  # vectors are written out; looking for more takes a fifth of the compiler's time
+    "-g0", "-Wall", "-Wextra", "-Werror", "-Wno-psabi",
 )
+LINKED = ("-shared", "-s")
 X86_64 = {"baseline": "x86_64", "v3": "x86_64_v3", "v4": "x86_64_v4", "vnni": "x86_64_v4+avx512vnni"}
 """Levels and what the compiler calls them, the lowest first; `level.cpp` counts in this order."""
 UNUSED = 7 * 86400
@@ -77,18 +83,29 @@ def this_target() -> str:
 
 # Sources
 
+PROBE = [HERE / "level.cpp"]
+"""What tells the levels of a processor, in a library of its own for the lowest one."""
+
 
 def our_units() -> list[Path]:
     """The files that are compiled into our library."""
-    return sorted(HERE.rglob("*.cpp"))
+    return sorted({*HERE.rglob("*.cpp")} - {*PROBE})
+
+
+def sources_of(unit: Path) -> list[Path]:
+    """A file and the headers that it includes, itself or by others."""
+    found = [unit]
+    for path in found:
+        for name in re.findall(r'^#include "(.+)"', path.read_text("utf-8"), re.M):
+            headers = [(folder / name).resolve() for folder in (path.parent, HERE)]
+            found += [header for header in headers if header.exists() and header not in found][:1]
+    return found
 
 
 def digest_of(units: Sequence[Path], target: str) -> str:
-    """Of all that a library is made of: these files and the headers beside them, ours, and how they are compiled."""
-    folders = dict.fromkeys(unit.parent for unit in units if not unit.is_relative_to(HERE))
-    headers = [path for folder in folders for path in sorted(folder.glob("*.h"))]
-    found = hashlib.sha256(repr((ZIG, FLAGS, TARGETS[target])).encode())
-    for path in dict.fromkeys((*units, *headers, *sorted(HERE.rglob("*.h")))):
+    """Of all that a library is made of: these files, their headers, and how they are compiled."""
+    found = hashlib.sha256(repr((ZIG, FLAGS, LINKED, TARGETS[target])).encode())
+    for path in dict.fromkeys(path for unit in units for path in sources_of(unit)):
         found.update(f"\0{path.name}\0".encode() + path.read_bytes())
     return found.hexdigest()[:24]
 
@@ -96,39 +113,57 @@ def digest_of(units: Sequence[Path], target: str) -> str:
 # Folders of libraries
 
 
-def find(folder: Path, digest: str) -> dict[str, Path] | None:
-    """Libraries by level, if a folder has whole ones of these sources."""
+def find(folder: Path, digest: str) -> dict[str, Path]:
+    """Libraries by level: the whole ones of these sources in a folder."""
+    return {level: folder / name for level, (name, _) in _read_index(folder, digest).items()}
+
+
+def _read_index(folder: Path, digest: str) -> dict[str, tuple[str, str]]:
     try:
         index = json.loads((folder / f"{digest}.json").read_text("utf-8"))
-        found = {level: folder / name for level, (name, _) in index.items()}
-        whole = all(_hash(folder / name) == wanted for name, wanted in index.values())
+        return {level: (name, wanted) for level, (name, wanted) in index.items() if _hash(folder / name) == wanted}
     except (OSError, ValueError, AttributeError, TypeError):
-        return None
-    return found if whole else None
+        return {}
 
 
-def build(units: Sequence[Path], target: str, folder: Path) -> dict[str, Path]:
-    """Libraries by level, which are compiled unless another process has done so meanwhile."""
+def build(units: Sequence[Path], target: str, folder: Path, levels: Iterable[str] = ()) -> dict[str, Path]:
+    """Libraries by level, those given or all, which are compiled unless another process has done so meanwhile."""
     folder.mkdir(parents=True, exist_ok=True)
-    digest = digest_of(units, target)
+    digest, kind = digest_of(units, target), TARGETS[target]
     with _locked(folder / "lock"):
-        found = find(folder, digest)
-        if found is not None:
-            return found
-        _remove_unused(folder)
-        compiler = find_compiler()
-        kind = TARGETS[target]
-        with tempfile.TemporaryDirectory(dir=folder) as made:
-            with ThreadPoolExecutor(os.cpu_count()) as pool:
-                jobs = {level: pool.submit(_compile, compiler, units, kind, level, Path(made))
-                        for level in kind.levels}
-            paths = {level: job.result() for level, job in jobs.items()}
-            index = {level: (f"{digest}-{path.name}", _hash(path)) for level, path in paths.items()}
-            for level, path in paths.items():
-                os.replace(path, folder / index[level][0])
-            (Path(made) / "index").write_text(json.dumps(index), "utf-8")
-            os.replace(Path(made) / "index", folder / f"{digest}.json")
-        return {level: folder / name for level, (name, _) in index.items()}
+        index = _read_index(folder, digest)
+        missing = [level for level in tuple(levels) or kind.levels if level not in index]
+        if missing:
+            _remove_unused(folder)
+            with tempfile.TemporaryDirectory(dir=folder) as made:
+                compiler = _Compiler(find_compiler(), kind, Path(made))
+                for level, path in compiler.make(units, target, missing, folder / "objects").items():
+                    name = f"{digest}-{path.name}"
+                    index[level] = name, _hash(path)
+                    os.replace(path, folder / name)
+                (Path(made) / "index").write_text(json.dumps(index), "utf-8")
+                os.replace(Path(made) / "index", folder / f"{digest}.json")
+    return {level: folder / name for level, (name, _) in index.items()}
+
+
+def levels_of(probe: Path) -> tuple[str, ...]:
+    """Levels that this processor has, the lowest first, as the probe's library tells."""
+    known = tuple(TARGETS[this_target()].levels)
+    return known[:ctypes.CDLL(str(probe)).best_level() + 1]
+
+
+def build_here() -> None:
+    """Compile what this machine needs into a checkout."""
+    target = this_target()
+    folder, lowest = PACKAGED / target, next(iter(TARGETS[target].levels))
+    build(our_units(), target, folder, levels_of(build(PROBE, target, folder, [lowest])[lowest])[-1:])
+
+
+def build_all(target: str, folder: Path) -> list[Path]:
+    """All files that a wheel brings for a kind of machine."""
+    lowest = next(iter(TARGETS[target].levels))
+    made = [build(PROBE, target, folder, [lowest])[lowest], *build(our_units(), target, folder).values()]
+    return [*made, *(folder / f"{digest_of(units, target)}.json" for units in (PROBE, our_units()))]
 
 
 def find_compiler() -> list[str]:
@@ -143,19 +178,49 @@ def find_compiler() -> list[str]:
     return [sys.executable, "-m", "ziglang", "c++"]
 
 
-def _compile(compiler: list[str], units: Sequence[Path], target: Target, level: str, folder: Path) -> Path:
-    path = folder / f"{level}{target.suffix}"
-    kind = [argument for unit in units for argument in (("-x", "c++", unit) if unit.suffix == ".h" else (unit,))]
-    command = [*compiler, *FLAGS, *target.flags, "-target", target.name, f"-mcpu={target.levels[level]}", "-I", HERE,
-               "-o", path, *kind]
-    caches = {"ZIG_LOCAL_CACHE_DIR": str(folder / "local")}
-    if target.flags == ALONE:
-        caches["ZIG_GLOBAL_CACHE_DIR"] = str(folder / "global")  # nothing is kept that another run could use
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", env=os.environ | caches)
-    if done.returncode:
-        lines = done.stderr.strip().splitlines() or [f"the compiler ended with {done.returncode}"]
-        raise CannotBuild(next((line for line in lines if "error:" in line), lines[-1]))
-    return path
+class _Compiler:
+    """Runs the compiler for a kind of machine, in a folder that is removed afterwards."""
+
+    def __init__(self, command: list[str], target: Target, folder: Path) -> None:
+        self._command, self._target, self._folder = command, target, folder
+        self._environment = os.environ | {"ZIG_LOCAL_CACHE_DIR": str(folder / "local")}
+        if target.flags == ALONE:
+            self._environment["ZIG_GLOBAL_CACHE_DIR"] = str(folder / "global")  # there is nothing to keep in it
+
+    def make(self, units: Sequence[Path], target: str, levels: Sequence[str], objects: Path) -> dict[str, Path]:
+        """Libraries of some levels; what is in the folder of objects already is not compiled again."""
+        objects.mkdir(exist_ok=True)
+        parts = {(unit, level): objects / f"{digest_of([unit], target)}-{unit.stem}-{level}.o"
+                 for unit in sorted(units, key=lambda unit: -unit.stat().st_size) for level in levels}
+        kept = [path for path in parts.values() if path.exists()]
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for done in [pool.submit(self._compile, *key, path) for key, path in parts.items() if path not in kept]:
+                done.result()
+        libraries = {level: self._folder / f"{level}{self._target.suffix}" for level in levels}
+        try:
+            for level, library in libraries.items():
+                self._run(level, *LINKED, "-o", library, *(parts[unit, level] for unit in units))
+        except CannotBuild:
+            if not kept:
+                raise
+            for path in kept:  # one may be damaged
+                path.unlink(missing_ok=True)
+            return self.make(units, target, levels, objects)
+        return libraries
+
+    def _compile(self, unit: Path, level: str, made: Path) -> None:
+        kept = self._folder / made.name
+        language = ("-x", "c++") if unit.suffix == ".h" else ()
+        self._run(level, *FLAGS, "-I", HERE, "-c", "-o", kept, *language, unit)
+        os.replace(kept, made)
+
+    def _run(self, level: str, *arguments: str | Path) -> None:
+        target = self._target
+        command = [*self._command, *target.flags, "-target", target.name, f"-mcpu={target.levels[level]}", *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", env=self._environment)
+        if done.returncode:
+            lines = done.stderr.strip().splitlines() or [f"the compiler ended with {done.returncode}"]
+            raise CannotBuild(next((line for line in lines if "error:" in line), lines[-1]))
 
 
 def _hash(path: Path) -> str:
@@ -180,7 +245,7 @@ def _locked(path: Path) -> Iterator[None]:
 
 def _remove_unused(folder: Path) -> None:
     now = time.time()
-    for path in folder.glob("*-*.*"):
+    for path in (*folder.glob("*-*.*"), *folder.glob("objects/*.o")):
         with suppress(OSError):
             if now - path.stat().st_mtime > UNUSED:
                 path.unlink()
@@ -191,8 +256,9 @@ def main(names: Iterable[str]) -> None:
     """Build for targets by name, by default this machine's."""
     for name in tuple(names) or (this_target(),):
         begin = time.monotonic()
-        found: dict[str, Any] = build(our_units(), name, PACKAGED / name)
-        sizes = ", ".join(f"{level} {path.stat().st_size / 1e3:.0f} kB" for level, path in found.items())
+        paths = build_all(name, PACKAGED / name)
+        sizes = ", ".join(f"{path.stem.rpartition('-')[2]} {path.stat().st_size / 1e3:.0f} kB" for path in paths
+                          if path.suffix != ".json")
         print(f"{name}: {sizes}, {time.monotonic() - begin:.1f} s")
 
 

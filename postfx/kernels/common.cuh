@@ -254,9 +254,9 @@ __device__ inline const Number* numbers(const View& view) {
     return reinterpret_cast<const Number*>(view.at);
 }
 
-// Activations of the network's heads: of filter weights, and of shares.
+// Activations of the network's heads: of filter weights, and of shares. NaN stays NaN.
 __device__ inline float weight_of(float logit) {
-    return expf(fminf(fmaxf(logit, -STEEPEST), STEEPEST));
+    return expf(logit < -STEEPEST ? -STEEPEST : logit > STEEPEST ? STEEPEST : logit);
 }
 
 __device__ inline float gate_of(float logit) {

@@ -1,8 +1,8 @@
 """Kernels in C++: the library that holds them, and their rows as Python calls them.
 
-A wheel brings a library for every level of the processor. A checkout compiles its own when a kernel is first used,
-in a few seconds, and again when a source has changed (`build.py`). A plug-in's kernels are compiled likewise from the
-header that it brings, into the user's cache.
+A wheel brings a library for every level of the processor. A checkout compiles the one of this processor's level when a
+kernel is first used, in a few seconds, and the files that have changed when they have (`build.py`). A plug-in's kernels
+are compiled likewise from the header that it brings, into the user's cache.
 """
 
 from __future__ import annotations
@@ -87,33 +87,40 @@ def open_library(header: Path | None = None, level: str | None = None) -> ctypes
 
     Raises DeviceError where there is none and none can be made.
     """
-    try:
-        paths = _find_or_build([header] if header else build.our_units(), own=header is None)
-    except (build.CannotBuild, OSError) as error:
-        raise DeviceError(str(error)) from None
-    return ctypes.CDLL(str(paths[level or levels()[-1]]))
+    units = [header] if header else build.our_units()
+    return ctypes.CDLL(str(_find_or_build(units, level or levels()[-1], own=header is None)))
 
 
 @cache
 def levels() -> tuple[str, ...]:
     """The levels that this processor has, the lowest first."""
-    known = tuple(build.TARGETS[build.this_target()].levels)
-    return known[:open_library(level=known[0]).best_level() + 1]
+    lowest = next(iter(build.TARGETS[_this_target()].levels))
+    return build.levels_of(_find_or_build(build.PROBE, lowest, own=True))
 
 
-def _find_or_build(units: list[Path], own: bool) -> dict[str, Path]:
-    target = build.this_target()
-    digest = build.digest_of(units, target)
-    cache_folder = private_folder(FOLDER)
-    folders = [build.PACKAGED / target] * own + ([cache_folder] if cache_folder else [])
-    for folder in folders:
-        found = build.find(folder, digest)
-        if found is not None:
-            return found
-    writable = [folder for folder in folders if _can_write(folder)]
-    if not writable:
-        raise build.CannotBuild("compiled kernels can be kept nowhere: set XDG_CACHE_HOME to a folder of your own")
-    return build.build(units, target, writable[0])
+def _this_target() -> str:
+    try:
+        return build.this_target()
+    except build.CannotBuild as error:
+        raise DeviceError(str(error)) from None
+
+
+def _find_or_build(units: list[Path], level: str, own: bool) -> Path:
+    target = _this_target()
+    try:
+        digest = build.digest_of(units, target)
+        cache_folder = private_folder(FOLDER)
+        folders = [build.PACKAGED / target] * own + ([cache_folder] if cache_folder else [])
+        for folder in folders:
+            found = build.find(folder, digest)
+            if level in found:
+                return found[level]
+        writable = [folder for folder in folders if _can_write(folder)]
+        if not writable:
+            raise build.CannotBuild("compiled kernels can be kept nowhere: set XDG_CACHE_HOME to a folder of your own")
+        return build.build(units, target, writable[0], [level])[level]
+    except (build.CannotBuild, OSError) as error:
+        raise DeviceError(str(error)) from None
 
 
 def _can_write(folder: Path) -> bool:

@@ -376,8 +376,10 @@ def adds_byte_products() -> bool:
 
 
 def has_byte_products() -> bool:
-    """Whether kernels can multiply numbers of 8 bits by this processor's own instructions."""
-    return processor_level() is not None
+    """Whether kernels can multiply numbers of 8 bits by this processor's own instructions: above the lowest level."""
+    from postfx.kernels.library import levels  # which imports this module
+
+    return len(levels()) > 1
 
 
 @cache

@@ -5,8 +5,9 @@
 // never put into another order: so AVX2, AVX-512, arm64 and Windows give the same bits.
 //
 // NaN and infinity. A comparison with NaN is false, and larger() and smaller() then give their
-// second argument. What may be NaN comes first: larger(x, limit) holds it within bounds. Everything
-// else carries NaN and infinity on, into the pixels that are made of them and into no others.
+// second argument. So within() makes the low bound of NaN, and bounded() leaves it. Everything else
+// carries NaN and infinity on, into the pixels that are made of them and into no others. The functions
+// at the end take numbers within the bounds that they name; beyond them, only NaN stays what it is.
 #pragma once
 
 typedef long long Long;
@@ -45,11 +46,16 @@ FN int whole(float x) { return int(x); }
 FN float number(int x) { return float(x); }
 FN float floor_of(float x) { return __builtin_floorf(x); }
 
+FN float nearest_of(float x) { return __builtin_rintf(x); }
+FN float root_of(float x) { return __builtin_sqrtf(x); }
+
 FN WideInt bits(Wide x) { return __builtin_bit_cast(WideInt, x); }
 FN Wide from_bits(WideInt x) { return __builtin_bit_cast(Wide, x); }
 FN WideInt whole(Wide x) { return __builtin_convertvector(x, WideInt); }
 FN Wide number(WideInt x) { return __builtin_convertvector(x, Wide); }
 FN Wide floor_of(Wide x) { return __builtin_elementwise_floor(x); }
+FN Wide nearest_of(Wide x) { return __builtin_elementwise_rint(x); }
+FN Wide root_of(Wide x) { return __builtin_elementwise_sqrt(x); }
 
 // Memory: numbers beside one another, every STEP-th of them, and each of them twice.
 
@@ -141,6 +147,36 @@ template <class F> FN void store_triples(float* at, F a, F b, F c) {
     }
 }
 
+// Four rows as one of quadruples, which begin a step apart.
+typedef float Four __attribute__((ext_vector_type(4)));
+template <int FIRST, int... I> FN Wide pairs_from(Wide a, Wide b, List<int, I...>) {
+    return TWO_OF(a, b, FIRST + I / 2 + I % 2 * WIDE);
+}
+template <int FIRST, int... I> FN Wide quads_from(Wide ab, Wide cd, List<int, I...>) {
+    return TWO_OF(ab, cd, FIRST + I / 4 * 2 + I % 2 + I % 4 / 2 * WIDE);
+}
+template <int STEP, int PIXEL> FN void store_quads(float* at, Wide quads) {
+    float four[WIDE];
+    store<Wide>(four, quads);
+    for (int i = 0; i < WIDE / 4; i++) __builtin_memcpy(at + STEP * (PIXEL + i), four + 4 * i, sizeof(Four));
+}
+template <int STEP, class F> FN void spread_four(float* at, F a, F b, F c, F d) {
+    if constexpr (Of<F>::COUNT == 1) {
+        at[0] = a;
+        at[1] = b;
+        at[2] = c;
+        at[3] = d;
+    } else {
+        constexpr int HALF = WIDE / 2;
+        const Wide low_ab = pairs_from<0>(a, b, Lanes()), high_ab = pairs_from<HALF>(a, b, Lanes());
+        const Wide low_cd = pairs_from<0>(c, d, Lanes()), high_cd = pairs_from<HALF>(c, d, Lanes());
+        store_quads<STEP, 0>(at, quads_from<0>(low_ab, low_cd, Lanes()));
+        store_quads<STEP, WIDE / 4>(at, quads_from<HALF>(low_ab, low_cd, Lanes()));
+        store_quads<STEP, HALF>(at, quads_from<0>(high_ab, high_cd, Lanes()));
+        store_quads<STEP, HALF + WIDE / 4>(at, quads_from<HALF>(high_ab, high_cd, Lanes()));
+    }
+}
+
 // Every STEP-th number from places that are given.
 template <class F, int STEP = 1> FN F gather(const float* at, const int* places) {
     if constexpr (Of<F>::COUNT == 1) {
@@ -168,6 +204,11 @@ template <class F> FN F smaller(F x, F other) { return x < other ? x : other; }
 template <class F> FN F within(F x, float low, float high) {
     return smaller<F>(larger<F>(x, F(low)), F(high));
 }
+template <class F> FN F bounded(F x, float low, float high) {
+    return smaller<F>(F(high), larger<F>(F(low), x));
+}
+template <class F> FN F size_of(F x) { return from_bits(bits(x) & 0x7FFFFFFF); }
+template <class F> FN F known(F x) { return x == x ? x : F(0.0f); }
 FN int clip(Long x, Long size) { return int(x < 0 ? 0 : x >= size ? size - 1 : x); }
 
 template <class F> FN typename Of<F>::Int load_int(const int* at) {

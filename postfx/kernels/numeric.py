@@ -210,14 +210,6 @@ def interleave(even: np.ndarray, odd: np.ndarray, flat: np.ndarray) -> None:
         flat[6 * x + 3], flat[6 * x + 4], flat[6 * x + 5] = d[x], e[x], f[x]
 
 
-@vectorised
-def repeat_three(even: np.ndarray, odd: np.ndarray, flat: np.ndarray) -> None:
-    """A number of each even and of each odd pixel, for each of its three channels."""
-    for x in range(even.size):
-        flat[6 * x] = flat[6 * x + 1] = flat[6 * x + 2] = even[x]
-        flat[6 * x + 3] = flat[6 * x + 4] = flat[6 * x + 5] = odd[x]
-
-
 # Four or eight numbers in one instruction, which Numba's compiler does not find by itself where code jumps from pixel
 # to pixel, or where loops are over many arrays.
 
@@ -225,8 +217,6 @@ Four: TypeAlias = Any
 """A tuple of four numbers."""
 Eight: TypeAlias = Any
 """A tuple of eight numbers."""
-Sixteen: TypeAlias = Any
-"""A tuple of sixteen numbers."""
 
 
 @inline
@@ -287,33 +277,6 @@ def mix_eight(some: Eight, others: Eight, share: Real) -> Eight:
 def divide_eight(some: Eight, others: Eight) -> Eight:
     """some / others, number by number."""
     return _divide_eight(some, others)
-
-
-@inline
-def largest_eight(some: Eight, others: Eight) -> Eight:
-    """The larger numbers of two eights."""
-    return _largest_eight(some, others)
-
-
-@inline
-def load_sixteen(flat: np.ndarray, at: int) -> Sixteen:
-    """Sixteen numbers of a flat array, from a place on."""
-    return _load_sixteen(flat, at)
-
-
-@inline
-def add_sixteen(total: Sixteen, sixteen: Sixteen, weight: Real) -> Sixteen:
-    """total + sixteen * weight."""
-    return _add_sixteen(total, sixteen, weight)
-
-
-@inline
-def weigh_pixels(sixteen: Sixteen, u: Real, v: Real, w: Real, z: Real) -> Eight:
-    """Weighted sum of the eight numbers from each of the first four pixels on, of three numbers each."""
-    zero = np.float32(0)
-    total = _add_eight((zero, zero, zero, zero, zero, zero, zero, zero), _from_second(sixteen), v)
-    total = _add_eight(total, _from_first(sixteen), u)
-    return _add_eight(_add_eight(total, _from_third(sixteen), w), _from_fourth(sixteen), z)
 
 
 def _loader(count: int) -> Any:
@@ -384,28 +347,6 @@ def _divide_eight(typingctx: Any, some: Any, others: Any) -> Any:
     return _tuple_of(8)(some, others), generate
 
 
-@intrinsic
-def _largest_eight(typingctx: Any, some: Any, others: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first, second = (_as_vector(8, builder, vector) for vector in arguments)
-        return _as_tuple(builder, builder.select(builder.fcmp_ordered(">", first, second), first, second))
-
-    return _tuple_of(8)(some, others), generate
-
-
-def _eight_from(first: int) -> Any:
-    @intrinsic
-    def pick(typingctx: Any, sixteen: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            vector, places = _as_vector(16, builder, arguments[0]), ir.VectorType(ir.IntType(32), 8)
-            mask = ir.Constant(places, [ir.Constant(ir.IntType(32), first + i) for i in range(8)])
-            return _as_tuple(builder, builder.shuffle_vector(vector, vector, mask))
-
-        return _tuple_of(8)(sixteen), generate
-
-    return pick
-
-
 def _tuple_of(count: int) -> Any:
     return types.UniTuple(types.float32, count)
 
@@ -438,9 +379,8 @@ def _as_tuple(builder: Any, vector: Any) -> Any:
     return found
 
 
-_load_four, _load_eight, _load_sixteen = _loader(4), _loader(8), _loader(16)
+_load_four, _load_eight = _loader(4), _loader(8)
 _store_four, _store_eight = _storer(4), _storer(8)
-_add_four, _add_eight, _add_sixteen = (_adder(count, False) for count in (4, 8, 16))
+_add_four, _add_eight = _adder(4, False), _adder(8, False)
 _add_products_of_eight = _adder(8, True)
 _mix_four, _mix_eight = _mixer(4), _mixer(8)
-_from_first, _from_second, _from_third, _from_fourth = (_eight_from(first) for first in (0, 3, 6, 9))

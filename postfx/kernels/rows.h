@@ -31,6 +31,8 @@ template <class T, int AXES> struct View {
     }
 };
 
+typedef View<const float, 1> Places;  // rows or columns of a picture
+
 // A small array of numbers that have names.
 template <class T> struct Given {
     const T* at;
@@ -124,6 +126,14 @@ template <class Pixels> FN void across(Long first, Long last, const Pixels& pixe
         for (Long x = first; x < last; x++) pixels(float(), x);
         return;
     }
-    for (Long x = first; x < last - WIDE; x += WIDE) pixels(Wide(), x);
-    pixels(Wide(), last - WIDE);
+    for (Long x = first; x < last; x += WIDE) {
+        pixels(Wide(), x <= last - WIDE ? x : last - WIDE);  // called in one place: compiled once
+    }
+}
+
+// The same with each pixel made once, for those that are changed in place.
+template <class Pixels> FN void across_once(Long first, Long last, const Pixels& pixels) {
+    Long x = first;
+    for (; x + WIDE <= last; x += WIDE) pixels(Wide(), x);
+    for (; x < last; x++) pixels(float(), x);
 }

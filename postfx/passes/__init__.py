@@ -309,6 +309,10 @@ class Pass:
         """The pass's choice for the last frame, as a word for the user; None if it has no choice."""
         return None
 
+    def notice(self) -> str | None:
+        """What the last frame shows that the user should know and mend, in a line, or None; each thing once."""
+        return None
+
     def savings(self) -> tuple[tuple[str, str], ...]:
         """Work that the frames since `compile` did not need, each with the reason and the measured time it saved."""
         return ()

@@ -15,13 +15,15 @@ from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import ArgumentTable, CommandBuffer, Device
 
 ALBEDOS = (Role.DENOISING_ALBEDO, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+NORMALS = (Role.DENOISING_NORMAL, Role.NORMAL)
 
 
 class Oidn(Pass):
     """Denoises with Open Image Denoise, at the render's size and each frame alone; needs the package pyoidn.
 
     The albedo and the normal are filtered alone first and then help with the picture. The albedo is the plane
-    `denoising_albedo`, or without it diffuse and specular albedo, added up.
+    `denoising_albedo`, or without it diffuse and specular albedo, added up. The normal is the plane `denoising_normal`
+    beside a `denoising_albedo`, as Blender takes both, else `normal`.
     Without an albedo the colour is denoised alone. What is not finite counts as 0, as does light below 0.
 
     Options:
@@ -43,7 +45,7 @@ class Oidn(Pass):
     def reflect(self, spec: FrameSpec) -> Reflection:
         written = (Role.COLOUR, Role.ALPHA) if self._denoises_alpha(spec) else (Role.COLOUR,)
         albedos = self._albedos(spec) or ALBEDOS
-        return Reflection(reads=(Role.COLOUR,), may_read=(*albedos, Role.NORMAL, *written[1:]), writes=written,
+        return Reflection(reads=(Role.COLOUR,), may_read=(*albedos, *self._normals(spec), *written[1:]), writes=written,
                           output=spec)
 
     def skip(self, spec: FrameSpec) -> str | None:
@@ -62,7 +64,8 @@ class Oidn(Pass):
     def compile(self, device: Device, spec: FrameSpec) -> None:
         kind = "cuda" if device.name.startswith("cuda") and oidn.finds_cuda() else "cpu"
         self._denoise = OpenImageDenoise(self._quality, kind, device.threads)
-        self._roles = tuple(role for role in (Role.COLOUR, *self._albedos(spec), Role.NORMAL) if spec.has(role))
+        taken = (Role.COLOUR, *self._albedos(spec), *self._normals(spec))
+        self._roles = tuple(role for role in taken if spec.has(role))
         names = tuple(map(str, self._roles))
         size = spec.height, spec.width
         self._colour = ArgumentTable(device.host_state("oidn", names, ("output",), self._denoise_colour),
@@ -93,8 +96,9 @@ class Oidn(Pass):
         known = dict(zip(self._roles[1:], planes, strict=True))
         albedos = [known[role] for role in ALBEDOS if role in known]
         aids = {"albedo": total_albedo(*albedos)} if albedos else {}
-        if Role.NORMAL in known:
-            aids["normal"] = known[Role.NORMAL]
+        for role in NORMALS:
+            if role in known:
+                aids["normal"] = known[role]
         self._denoise(colour, aids, output)
 
     def _denoise_alpha_plane(self, alpha: np.ndarray, output: np.ndarray) -> None:
@@ -112,3 +116,8 @@ class Oidn(Pass):
         """The albedos that are added up: one of what is seen in mirrors and glass, too, is enough."""
         found = tuple(role for role in ALBEDOS if spec.has(role))
         return found[:1] if Role.DENOISING_ALBEDO in found else found
+
+    def _normals(self, spec: FrameSpec) -> tuple[Role, ...]:
+        """The normal that is taken: one of what is seen in mirrors and glass goes with such an albedo."""
+        follows = spec.has(Role.DENOISING_ALBEDO) and spec.has(Role.DENOISING_NORMAL)
+        return (Role.DENOISING_NORMAL,) if follows else (Role.NORMAL,)

@@ -30,6 +30,9 @@ BUILT_IN = {
     "display": "postfx.passes.display:Display",
     "view": "postfx.passes.display:View",
     "exposure_tool": "postfx.passes.exposure_tool:ExposureTool",
+    "occlusion": "postfx.passes.scene:Occlusion",
+    "irradiance": "postfx.passes.scene:Irradiance",
+    "scene_shading": "postfx.passes.scene:SceneShading",
 }
 """Entry points of the passes that come with postfx, as in pyproject.toml."""
 BEFORE, AFTER = "before", "after"

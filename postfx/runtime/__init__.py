@@ -17,7 +17,14 @@ from postfx.runtime.encoders import ComputeEncoder, MachineLearningEncoder
 from postfx.runtime.heap import Heap
 from postfx.runtime.models import Library
 from postfx.runtime.session import has_networks
-from postfx.runtime.states import ArgumentTable, Binding, CompiledComputeState, PipelineState, PortableComputeState
+from postfx.runtime.states import (
+    ArgumentTable,
+    Binding,
+    CompiledComputeState,
+    Intermediates,
+    PipelineState,
+    PortableComputeState,
+)
 from postfx.runtime.tensor import Tensor, TensorState
 
 __all__ = [
@@ -36,6 +43,7 @@ __all__ = [
     "EncodingError",
     "HazardError",
     "Heap",
+    "Intermediates",
     "Library",
     "MachineLearningEncoder",
     "ModelError",

@@ -11,11 +11,14 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
+from postfx.runtime.memory import ALIGNMENT
 from postfx.runtime.model_file import ModelFile, Node, Weights, parse_model
 
 if TYPE_CHECKING:
@@ -446,6 +449,11 @@ def multiply_source(tile: int) -> str:
             '"l"(right) : "memory");\n}\n')
 
 
+def _whole(shape: tuple[int, ...]) -> int:
+    """Bytes of values in half precision, up to where others may begin."""
+    return -(-prod(shape) * HALF.itemsize // ALIGNMENT) * ALIGNMENT
+
+
 class Convolutions:
     """A network's layers on a GPU, with their weights and intermediate results.
 
@@ -460,6 +468,8 @@ class Convolutions:
         if any(len(shape) != 4 or shape[0] != 1 for shape in shapes.values()):
             raise Unfit("it works on several pictures at once")
         self._gpu = gpu
+        self._device = device
+        self._between: dict[str, tuple[int, ...]] = {}
         self._own: dict[str, Tensor] = {}
         sizes = {name: shape[1:3] for name, shape in shapes.items()}
         self._launches: list[Launch] = []
@@ -470,7 +480,7 @@ class Convolutions:
             for name, channels in ((layer.output, layer.split or layer.channels), (layer.pooled, layer.channels),
                                    (layer.others, layer.channels - layer.split)):
                 if name and name not in shapes:
-                    self._own[name] = device.heap.tensor(name, (1, *sizes[name], channels), "float16")
+                    self._between[name] = 1, *sizes[name], channels
             self._launches.append(choices(layer, rows, columns, gpu)[0])
         tiles = sorted({launch.tile for launch in self._launches if gpu.warpgroups})
         products = "".join(map(multiply_source, tiles))
@@ -488,9 +498,25 @@ class Convolutions:
             found[name].upload(array)
         return found
 
-    def bind(self, tensors: Mapping[str, Tensor]) -> Callable[[], None]:
-        """A function that runs the network on these inputs and outputs."""
-        known, runs = {**self._own, **tensors}, list[Callable[[], None]]()
+    @property
+    def intermediates_size(self) -> int:
+        """Bytes of what layers compute for later ones."""
+        return sum(_whole(shape) for shape in self._between.values())
+
+    def _intermediates(self, memory: Tensor | None) -> dict[str, Tensor]:
+        """Tensors for them: in this memory, or of its own, which is kept."""
+        if memory is not None:
+            starts = accumulate(map(_whole, self._between.values()), initial=0)
+            return {name: memory.view(name, shape, start // HALF.itemsize)
+                    for (name, shape), start in zip(self._between.items(), starts, strict=False)}
+        if not self._own:
+            self._own = {name: self._device.heap.tensor(name, shape, "float16")
+                         for name, shape in self._between.items()}
+        return self._own
+
+    def bind(self, tensors: Mapping[str, Tensor], memory: Tensor | None = None) -> Callable[[], None]:
+        """A function that runs the network on these inputs and outputs, and in this memory in between."""
+        known, runs = {**self._intermediates(memory), **tensors}, list[Callable[[], None]]()
         for launch, given in zip(self._launches, self._given, strict=True):
             layer = launch.layer
             named = {"input": layer.source, "coarse": layer.coarse, "output": layer.output,

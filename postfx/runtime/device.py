@@ -47,6 +47,7 @@ from postfx.runtime.states import (
     CompiledComputeState,
     CudaComputeState,
     HostState,
+    Intermediates,
     PipelineState,
     PortableComputeState,
     State,
@@ -246,13 +247,7 @@ class Device:
         bindings cannot be one.
         """
         fixed = {key: int(size) for key, size in (dims or {}).items()}
-        content, named = library.load(name), {key: size for key, size in fixed.items() if isinstance(key, str)}
-        by_axis = {key: size for key, size in fixed.items() if not isinstance(key, str)}
-        if by_axis:
-            try:
-                content = fix_dimensions(content, by_axis)
-            except ValueError as error:
-                raise ModelError(f"network '{name}' cannot have the dims {_text_dims(by_axis)}: {error}") from error
+        content, named = _load(library, name, fixed), {key: size for key, size in fixed.items() if isinstance(key, str)}
         taken = self.threads if threads is None else threads
         if not 1 <= taken <= self.threads:
             raise DeviceError(f"network '{name}' cannot take {taken} of the {self.threads} threads of {self!r}")
@@ -274,8 +269,26 @@ class Device:
             content, products = take_products(content)
         session = self._session(content, library, name, placement, fixed)
         self.name_model(library, name)
+
+        def measure() -> int | None:
+            """See `PipelineState.intermediates_size`."""
+            if isinstance(session, TableSession):
+                return 0
+            if not self.memory.host_visible:
+                return None
+            again = _load(library, name, fixed)
+            given = take_products(again)[0] if products else again
+            return Session(given, name, replace(placement, stream=0), named, library.path(name).parent,
+                           of_its_own=True).intermediates()
+
         return PipelineState(self, name, session, named, library.path(name), library.constants(name), in_place, taken,
-                             products)
+                             products, measure)
+
+    def intermediates(self, *needed: PipelineState | int) -> Intermediates:
+        """Memory for the intermediates of networks that run one after the other: enough for the largest of these
+        states, or bytes."""
+        sizes = [item if isinstance(item, int) else item.intermediates_size or 0 for item in needed]
+        return Intermediates(self, max(sizes, default=0))
 
     def _session(self, content: bytes, library: Library, name: str, placement: Placement,
                  fixed: Dims) -> Session | TableSession:
@@ -408,6 +421,18 @@ def _check_portable(kernel: Kernel, session: Session) -> None:
         if found != wanted:
             raise ModelError(f"portable definition of kernel '{kernel.name}' has the {what} {_text(found)}: "
                              f"they must be {_text(wanted)}")
+
+
+def _load(library: Library, name: str, fixed: Dims) -> bytes:
+    """A network's file, with the dimensions fixed that have no name."""
+    content = library.load(name)
+    by_axis = {key: size for key, size in fixed.items() if not isinstance(key, str)}
+    if not by_axis:
+        return content
+    try:
+        return fix_dimensions(content, by_axis)
+    except ValueError as error:
+        raise ModelError(f"network '{name}' cannot have the dims {_text_dims(by_axis)}: {error}") from error
 
 
 def _text_dims(dims: Dims) -> str:

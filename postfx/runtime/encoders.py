@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol, Self
 
 from postfx.caching import LRUCache
 from postfx.errors import BindingError, EncodingError, HazardError
-from postfx.runtime.states import Arguments, ArgumentTable, State
+from postfx.runtime.states import Arguments, ArgumentTable, Intermediates, PipelineState, State
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 
 STAGES = ("compute", "machine-learning")
@@ -240,7 +240,7 @@ class Encoder:
         else:
             raise EncodingError(self._no_form(after, before, before_queue))
 
-    def _dispatch(self, state: State, table: ArgumentTable) -> None:
+    def _dispatch(self, state: State, table: ArgumentTable, heap: Intermediates | None = None) -> None:
         if state.stage != self.stage:
             fix = f"use commands.{state.stage.replace('-', '_')}_encoder()"
             message = f"'{self.label}' takes {self.stage} work, but {state.command} is {state.stage} work: {fix}"
@@ -251,7 +251,8 @@ class Encoder:
             made, fix = table.state.command, f"make one for {state.command}"
             raise BindingError(f"'{self.label}': the argument table was made for {made}: {fix}")
         try:
-            arguments = table.arguments()
+            memory = heap.memory_for(state) if heap is not None and isinstance(state, PipelineState) else None
+            arguments = table.arguments(memory)
         except BindingError as error:
             raise BindingError(f"'{self.label}': {error}") from None
         accesses = arguments.reads, arguments.writes
@@ -307,12 +308,16 @@ class MachineLearningEncoder(Encoder):
 
     stage = "machine-learning"
 
-    def dispatch_network(self, state: State, table: ArgumentTable) -> None:
+    def dispatch_network(self, state: State, table: ArgumentTable, heap: Intermediates | None = None) -> None:
         """Record one run of a network on the tensors that are in the table now.
 
-        Raises BindingError for unbound or unfitting arguments, HazardError for aliased ones.
+        Args:
+            heap: memory for its intermediates, which other networks may share; default: its own.
+
+        Raises BindingError for unbound or unfitting arguments and a heap that is too small, HazardError for aliased
+        arguments.
         """
-        self._dispatch(state, table)
+        self._dispatch(state, table, heap)
 
 
 def _aliasing_error(dispatch: Dispatch, other: Tensor, written: Tensor) -> HazardError:

@@ -78,6 +78,7 @@ class Heap:
         self._lock = threading.Lock()
         self._used = 0
         self._peak = 0
+        self._networks = 0
         self.arena = Arena(device)
         self.allocations = 0
 
@@ -109,9 +110,22 @@ class Heap:
 
     @property
     def size(self) -> int:
-        """Bytes allocated from the system, used or free."""
+        """Bytes allocated from the system, used or free, those of `networks` included."""
         with self._lock:
-            return sum(block.chunk.nbytes for block in self._blocks)
+            return sum(block.chunk.nbytes for block in self._blocks) + self._networks
+
+    @property
+    def networks(self) -> int:
+        """Bytes that ONNX Runtime's arena took from the system for the intermediates of this device's networks. All
+        devices of the process share the arena, which keeps what it has. 0 on a GPU and where the system does not tell.
+        """
+        return self._networks
+
+    def note_arena(self, nbytes: int) -> None:
+        """Count bytes that ONNX Runtime's arena took for a network of this device."""
+        with self._lock:
+            self._networks += nbytes
+            self._peak = max(self._peak, self._used + self._networks)
 
     @property
     def used(self) -> int:
@@ -122,7 +136,7 @@ class Heap:
 
     @property
     def peak(self) -> int:
-        """Most bytes that were in use at once."""
+        """Most bytes that were in use at once, by tensors and by `networks`."""
         return self._peak
 
     def tensors(self) -> list[tuple[str, int]]:
@@ -143,7 +157,7 @@ class Heap:
         found = min(((fit, index) for fit, index in fits if fit is not None), default=None)
         block = self._blocks[found[1]] if found else self._grow(nbytes)
         self._used += nbytes
-        self._peak = max(self._peak, self._used)
+        self._peak = max(self._peak, self._used + self._networks)
         return block.chunk, block.take(nbytes, found[0] if found else block.chunk.nbytes)
 
     def _grow(self, nbytes: int) -> _Block:

@@ -12,6 +12,7 @@ import hashlib
 import os
 import platform
 import re
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,10 +27,10 @@ from postfx.errors import DeviceError, ModelError
 from postfx.files import atomic_file, parse_json
 from postfx.runtime.model_file import read_tables
 from postfx.runtime.tensor import Tensor, element_type
-from postfx.system import private_folder, usable_memory
+from postfx.system import allocated_bytes, private_folder, usable_memory
 
-__all__ = ["CPU", "Placement", "Provider", "Session", "TableSession", "find_provider", "first_line", "has_networks",
-           "ort", "parse_provider", "providers_of", "session_options"]
+__all__ = ["CPU", "FirstRun", "Placement", "Provider", "Session", "TableSession", "find_provider", "first_line",
+           "has_networks", "ort", "parse_provider", "providers_of", "session_options"]
 
 
 class _Missing:
@@ -73,6 +74,8 @@ HASH_BYTES = hashlib.sha256().digest_size
 """Length of the hash at the start of a file."""
 EXTERNAL_WEIGHTS = b"location"
 """Occurs in every model with weights in other files, so its content does not identify it."""
+LEAST_GROWTH = 1 << 18
+"""Bytes: an arena grows by 1 MiB or more, so less is what the run itself and other threads took."""
 PROCESSOR = ("model name", "flags", "Features")
 
 
@@ -179,15 +182,16 @@ class Value(NamedTuple):
 class Session:
     """One model ready to run, specialised for `dims` (free dimension name -> size); `folder` has files it refers to.
 
-    An `exclusive` session runs on its provider alone; no node may fall back to the CPU.
+    An `exclusive` session runs on its provider alone; no node may fall back to the CPU. One with an arena `of_its_own`
+    shares no memory with others.
     """
 
     def __init__(
         self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int], folder: Path | None = None,
-        exclusive: bool = False,
+        exclusive: bool = False, of_its_own: bool = False,
     ) -> None:
         def options() -> ort.SessionOptions:
-            found = session_options(placement, dims)
+            found = session_options(placement, dims, not of_its_own)
             if exclusive:
                 found.add_session_config_entry("session.disable_cpu_ep_fallback", "1")
             if folder is not None:
@@ -240,6 +244,26 @@ class Session:
 
         return run_elsewhere
 
+    def intermediates(self) -> int | None:
+        """Bytes that the first run takes beside inputs and outputs, measured with zeros; None where the system does not
+        tell. The session must have an arena of its own, in which nothing ran.
+
+        Raises ModelError if the model cannot be run.
+        """
+        binding = self._session.io_binding()
+        arrays = [np.full(value.fixed, 0, element_type(value.dtype))  # all pages are there before
+                  for value in (*self.inputs, *self.outputs)]
+        binds = [binding.bind_input] * len(self.inputs) + [binding.bind_output] * len(self.outputs)
+        for bind, value, array in zip(binds, (*self.inputs, *self.outputs), arrays, strict=True):
+            element = _BFLOAT16 if value.dtype == "bfloat16" else array.dtype.type
+            bind(value.name, "cpu", 0, element, array.shape, array.ctypes.data)
+        grown: list[int] = []
+        try:
+            FirstRun(partial(self._session.run_with_iobinding, binding), grown.append)()
+        except Exception as error:
+            raise ModelError(f"model '{self._name}' cannot be run: {first_line(error)}") from error
+        return grown[0] if grown else None
+
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """What depends on no input: all that the model's metadata holds, and these outputs, from one run on zeros.
 
@@ -275,6 +299,36 @@ class Session:
         self._session.run_with_iobinding(binding)
 
 
+class FirstRun:
+    """Runs a session; the first time it tells by how many bytes that made ONNX Runtime's memory grow.
+
+    ONNX Runtime tells nobody what its arena holds, so the C library is asked before and after. What other threads take
+    meanwhile is counted, too.
+    """
+
+    _ALONE = threading.Lock()
+
+    def __init__(self, run: Callable[[], None], tell: Callable[[int], None]) -> None:
+        self._run = run
+        self._tell: Callable[[int], None] | None = tell
+
+    def __call__(self) -> None:
+        """Run it."""
+        if self._tell is None:
+            self._run()
+            return
+        with self._ALONE:
+            tell, self._tell = self._tell, None
+            before = allocated_bytes()
+            try:
+                self._run()
+            finally:
+                after = allocated_bytes()
+                if tell is not None and before is not None and after is not None:
+                    grown = after - before
+                    tell(grown if grown >= LEAST_GROWTH else 0)
+
+
 class TableSession:
     """Stands for a `Session` of a model without inputs where ONNX Runtime is missing: its outputs are read from the
     file. There is nothing to run."""
@@ -308,8 +362,9 @@ def _register_shared_arena() -> None:
     ort.create_and_register_allocator(info, ort.OrtArenaCfg(usable_memory(), -1, -1, -1))
 
 
-def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.SessionOptions:
-    """Threads of the device, memory of the arena that all sessions share, free dimensions fixed."""
+def session_options(placement: Placement, dims: Mapping[str, int], shared: bool = True) -> ort.SessionOptions:
+    """Threads of the device, memory of the arena that all sessions share or of one of its own, free dimensions
+    fixed."""
     _register_shared_arena()
     options = ort.SessionOptions()
     options.intra_op_num_threads = placement.threads
@@ -321,7 +376,7 @@ def session_options(placement: Placement, dims: Mapping[str, int]) -> ort.Sessio
     options.add_session_config_entry("session.intra_op.allow_spinning", "1")
     options.add_session_config_entry("session.intra_op.spin_duration_us", "200")
     options.add_session_config_entry("session.force_spinning_stop", "1")
-    options.add_session_config_entry("session.use_env_allocators", "1")
+    options.add_session_config_entry("session.use_env_allocators", "1" if shared else "0")
     for name, size in dims.items():
         options.add_free_dimension_override_by_name(name, size)
     return options

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -12,9 +12,9 @@ import numpy as np
 
 from postfx.errors import BindingError, ModelError
 from postfx.kernels.native import bind_rows, compile_rows
-from postfx.runtime.convolutions import Convolutions, Gpu, Head, Layer, give_heads
+from postfx.runtime.convolutions import HALF, Convolutions, Gpu, Head, Layer, give_heads
 from postfx.runtime.model_file import Product
-from postfx.runtime.session import Session, TableSession
+from postfx.runtime.session import FirstRun, Session, TableSession
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient
 
 if TYPE_CHECKING:
@@ -97,6 +97,9 @@ class PipelineState:
             copy them outside the stream, too early or too late.
         products: name -> integer product that the file has as an output and that is left to the caller; its codes are
             bound in its place.
+        intermediates_size: bytes that it takes between its inputs and outputs. Of a network that ONNX Runtime runs,
+            what its arena grows by when nothing is in it, measured by one run when it is asked for; None on a GPU and
+            where the system does not tell.
     """
 
     stage = "machine-learning"
@@ -104,7 +107,8 @@ class PipelineState:
 
     def __init__(self, device: StateDevice, name: str, session: Session | TableSession, dims: dict[str, int],
                  model: Path, constants: Sequence[str] = (), in_place: Mapping[str, str] | None = None,
-                 threads: int | None = None, products: Mapping[str, Product] | None = None) -> None:
+                 threads: int | None = None, products: Mapping[str, Product] | None = None,
+                 measure: Callable[[], int | None] = lambda: 0) -> None:
         self.device = device
         self.products = products or {}
         self.threads = threads or device.threads
@@ -119,6 +123,7 @@ class PipelineState:
         self.shapes = {value.name: value.fixed for value in (*session.inputs, *session.outputs)}
         self.constants = session.constants(constants)
         self._session = session
+        self._measure = measure
         self._convolutions: Convolutions | None = None
 
     def convolve(self, layers: Sequence[Layer], gpu: Gpu, heads: Mapping[str, Head]) -> None:
@@ -131,10 +136,21 @@ class PipelineState:
         self.bindings = tuple(binding._replace(name=name, shape=shapes[name]) for binding in self.bindings
                               for name in [names.get(binding.name, binding.name)])
 
-    def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
-        """A function that runs the network on bound tensors."""
+    @cached_property
+    def intermediates_size(self) -> int | None:
+        """See the class."""
+        return self._measure() if self._convolutions is None else self._convolutions.intermediates_size
+
+    @property
+    def takes_memory(self) -> bool:
+        """Whether it runs in the memory that a dispatch gives it."""
+        return self._convolutions is not None
+
+    def prepare(self, tensors: Sequence[Tensor], memory: Tensor | None = None) -> Callable[[], None]:
+        """A function that runs the network on bound tensors, and in this memory if it `takes_memory`."""
         if self._convolutions is not None:
-            return self._convolutions.bind({b.name: tensor for b, tensor in zip(self.bindings, tensors, strict=True)})
+            named = {binding.name: tensor for binding, tensor in zip(self.bindings, tensors, strict=True)}
+            return self._convolutions.bind(named, memory)
         return _bind_session(self._session, self.bindings, tensors, self._in_place)
 
 
@@ -301,10 +317,10 @@ def _bind_session(
     inputs = {binding.name: bound[binding.name] for binding in bindings if binding.reads}
     outputs = {binding.name: bound[binding.name] for binding in bindings if binding.access == "write"}
     if not in_place:
-        return session.bind(inputs, outputs)
+        return _counted(session.bind(inputs, outputs), tensors)
     replaced = [(bound[name], bound[name].device.heap.tensor(result, bound[name].shape, bound[name].dtype))
                 for name, result in in_place.items()]
-    run = session.bind(inputs, outputs | {new.name: new for _, new in replaced})
+    run = _counted(session.bind(inputs, outputs | {new.name: new for _, new in replaced}), tensors)
 
     def run_in_place() -> None:
         run()
@@ -314,6 +330,13 @@ def _bind_session(
     return run_in_place
 
 
+def _counted(run: Callable[[], None], tensors: Sequence[Tensor]) -> Callable[[], None]:
+    """The run of a session, of whose memory the heap learns if it is the host's."""
+    if not tensors or not tensors[0].device.memory.host_visible:
+        return run
+    return FirstRun(run, tensors[0].device.heap.note_arena)
+
+
 _BIND = "set table['name'] = tensor"
 
 
@@ -321,20 +344,21 @@ class Arguments:
     """A complete, unchanging set of tensors for a state.
 
     Attributes:
-        reads, writes: the tensors that it reads and writes.
+        reads, writes: the tensors that it reads and writes, the memory of its intermediates among the latter.
         transients: allocations of transient tensors without memory yet.
         execute: runs the state on them; None while some have no memory.
         aliases: two tensors on the same memory, the second of which is written; None if there are none.
     """
 
-    def __init__(self, state: State, tensors: tuple[Tensor, ...]) -> None:
+    def __init__(self, state: State, tensors: tuple[Tensor, ...], memory: Tensor | None = None) -> None:
         pairs = list(zip(state.bindings, tensors, strict=True))
+        changed = () if memory is None else (memory,)
         self.state = state
         self.reads = tuple([tensor for binding, tensor in pairs if binding.access != "write"])
-        self.writes = tuple([tensor for binding, tensor in pairs if binding.access != "read"])
+        self.writes = (*[tensor for binding, tensor in pairs if binding.access != "read"], *changed)
         self.transients = tuple(dict.fromkeys(a for a in (t.allocation for t in tensors) if isinstance(a, Transient)))
-        self.execute: Callable[[], None] | None = None if self.transients else _prepare(state, tensors)
-        self._tensors = tensors
+        self.execute: Callable[[], None] | None = None if self.transients else _prepare(state, tensors, memory)
+        self._tensors, self._memory = tensors, memory
         self.aliases = self._aliases()
         self._placed: tuple[tuple[Allocation | None, ...], Arguments] | None = None
 
@@ -358,12 +382,15 @@ class Arguments:
         """The same arguments on the memory that transient tensors have now; cached until that changes."""
         places = tuple([transient.place for transient in self.transients])
         if self._placed is None or self._placed[0] != places:
-            self._placed = places, Arguments(self.state, tuple(tensor.resident() for tensor in self._tensors))
+            resident = tuple(tensor.resident() for tensor in self._tensors)
+            self._placed = places, Arguments(self.state, resident, self._memory)
         return self._placed[1]
 
 
-def _prepare(state: State, tensors: tuple[Tensor, ...]) -> Callable[[], None]:
+def _prepare(state: State, tensors: tuple[Tensor, ...], memory: Tensor | None) -> Callable[[], None]:
     """A function that runs a state. What has strides is gathered before and scattered after it."""
+    if isinstance(state, PipelineState) and memory is not None:
+        return state.prepare(tensors, memory)  # of a GPU, where nothing has strides
     if all([tensor.contiguous for tensor in tensors]):
         return state.prepare(tensors)
     packed = [tensor if tensor.contiguous else state.device.heap.tensor(tensor.name, tensor.shape, tensor.dtype)
@@ -384,6 +411,43 @@ def _prepare(state: State, tensors: tuple[Tensor, ...]) -> Callable[[], None]:
     return run_packed
 
 
+class Intermediates:
+    """Memory for what networks compute between their inputs and outputs, made by `Device.intermediates`. Networks that
+    a barrier orders share it; without one, a commit raises HazardError.
+
+    Our own networks on a GPU run in it. ONNX Runtime takes nobody's memory: its networks run in the arena that all of
+    them share, which `Heap.size` and `Heap.peak` count.
+
+    Attributes:
+        size: bytes.
+    """
+
+    def __init__(self, device: TensorDevice, size: int) -> None:
+        self.device = device
+        self.size = size
+
+    @cached_property
+    def memory(self) -> Tensor:
+        """The memory, taken from the device's heap when the first network needs it."""
+        elements = -(-self.size // HALF.itemsize)
+        return self.device.heap.tensor("intermediates", (max(1, elements),), "float16")
+
+    def memory_for(self, state: PipelineState) -> Tensor | None:
+        """The memory to give to a network, None if it takes none.
+
+        Raises BindingError where there is too little, or the state is another device's.
+        """
+        if state.device is not self.device:
+            raise BindingError(f"{state.command} and the memory of its intermediates belong to different devices: make "
+                               "both on one")
+        needed = state.intermediates_size or 0
+        if needed > self.size:
+            fix = "give device.intermediates the states of all networks that share it"
+            raise BindingError(f"{state.command} needs {needed:,} bytes for its intermediates, but the memory given "
+                               f"has {self.size:,}: {fix}")
+        return self.memory if state.takes_memory else None
+
+
 class ArgumentTable:
     """Tensors by binding name, checked when they are set. A dispatch uses the tensors that are set when it is recorded.
 
@@ -396,6 +460,7 @@ class ArgumentTable:
         self._bindings: dict[str, Binding] = {binding.name: binding for binding in state.bindings}
         self._tensors: dict[str, Tensor] = {}
         self._arguments: Arguments | None = None
+        self._memory: Tensor | None = None
         self._known: dict[tuple[Tensor, ...], Arguments] = {}
         for name, tensor in (tensors or {}).items():
             self[name] = tensor
@@ -417,17 +482,19 @@ class ArgumentTable:
     def __iter__(self) -> Iterator[str]:
         return iter(self._tensors)
 
-    def arguments(self) -> Arguments:
-        """The complete set of tensors. Raises BindingError when some are unbound or their sizes do not fit together."""
-        if self._arguments is None:
+    def arguments(self, memory: Tensor | None = None) -> Arguments:
+        """The complete set of tensors, with memory for intermediates. Raises BindingError when some are unbound or
+        their sizes do not fit together."""
+        if self._arguments is None or memory is not self._memory:
             unbound = [name for name in self._bindings if name not in self._tensors]
             if unbound:
                 raise BindingError(f"{self.state.command}: nothing is bound to {_quote(unbound)}: {_BIND}")
             tensors = tuple([self._tensors[name] for name in self._bindings])
-            self._arguments = self._known.get(tensors) or self._make_arguments(tensors)
+            key, self._memory = (*tensors, *(() if memory is None else (memory,))), memory
+            self._arguments = self._known.get(key) or self._make_arguments(key, tensors)
         return self._arguments
 
-    def _make_arguments(self, tensors: tuple[Tensor, ...]) -> Arguments:
+    def _make_arguments(self, named: tuple[Tensor, ...], tensors: tuple[Tensor, ...]) -> Arguments:
         """Arguments that are known again, beside the last ones before, as histories swap from frame to frame; unless
         these keep memory of others alive."""
         self._check_together()
@@ -436,7 +503,7 @@ class ArgumentTable:
             last.forget_memory()
         self._known = {key: last for key, last in before if not any(
             tensor.released or (tensor.allocation.borrowed and tensor not in tensors) for tensor in key)}
-        made = self._known[tensors] = Arguments(self.state, tensors)
+        made = self._known[named] = Arguments(self.state, tensors, self._memory)
         return made
 
     def _binding(self, name: str) -> Binding:

@@ -84,17 +84,22 @@ def test_settings_are_those_that_change_pixels():
 def test_what_is_not_given_is_left_to_the_part():
     assert RUN.values_for("denoiser", parse()) == {}
     assert RUN.values_for("denoiser", parse("--scale", "1.5", "--model", "s")) == {"scale": 1.5, "model": "s"}
+    for names, layers, error in (("key,error", "key", True), ("error", None, True), ("auto", "auto", False)):
+        given = parse("--aov", names)
+        assert RUN.values_for("sequence", given)["aov"] == layers
+        assert RUN.values_for("denoiser", given) == {"error": error}
     assert RUN.values_for("run", parse("--checkpoint", "none")) == {"checkpoint": None, "rerun": None}
     assert RUN.values_for("run", parse("--resume", "4")) == {"checkpoint": 30.0, "rerun": 4}
 
 
 @pytest.mark.parametrize("option", list(RUN), ids=lambda option: option.name)
 def test_options_name_what_there_is(option):
-    part, _, parameter = option.sets.partition(".")
-    if part == "denoiser":
-        assert parameter in DenoiseUpscale().options
-    elif part:
-        assert parameter in inspect.signature(PARTS[part]).parameters
+    for sets in (option.sets, *option.also):
+        part, _, parameter = sets.partition(".")
+        if part == "denoiser":
+            assert parameter in DenoiseUpscale().options
+        elif part:
+            assert parameter in inspect.signature(PARTS[part]).parameters
     flags = {each.flag for each in RUN}
     assert {key.partition("=")[0] for key in (*option.excludes, *option.needs)} <= flags
 

@@ -52,8 +52,12 @@ def test_the_unit_of_a_large_picture_is_that_of_all_of_it(room, monkeypatch):
 
 
 def test_one_seed_is_told(room):
-    same = [replace(room[1], number=number) for number in (1, 2, 3)]
+    """Where the picture moves; the denoiser tells of it where it stands still."""
+    moving = {**room[1].planes, Role.MOTION: np.full_like(room[1][Role.MOTION], 3)}
+    same = [replace(room[1], planes=moving, number=number) for number in (1, 2, 3)]
     assert any("the same random seed in every frame" in line for line in said(same))
+    still = {**room[1].planes, Role.MOTION: np.zeros_like(room[1][Role.MOTION])}
+    assert said([replace(room[1], planes=still, number=number) for number in (1, 2, 3)]) == []
 
 
 def test_planes_that_the_renderer_could_write_are_told_and_cheap_ones_are_not(room):

@@ -3,8 +3,10 @@
 It needs the package bpy, in this interpreter or in the one that POSTFX_BPY_PYTHON names.
 """
 
+import importlib.util
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -114,3 +116,40 @@ def test_two_frames_in_blender(extension, tmp_path):
     assert clean.shape == (64, 96, 3)
     # where a lit side is even, noise falls
     assert np.abs(np.diff(clean, axis=1)).mean() < 0.5 * np.abs(np.diff(noisy, axis=1)).mean()
+
+
+@pytest.fixture(scope="session")
+def panels():
+    """The script that draws Blender's panels for the pages."""
+    spec = importlib.util.spec_from_file_location("blender_panels", ROOT / "samples/blender_panels.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@needs_bpy
+def test_the_page_names_what_the_button_sets_and_its_block_does_the_same(extension, panels, tmp_path, monkeypatch):
+    monkeypatch.setenv("POSTFX_BPY_PYTHON", PYTHON)
+    page = (ROOT / "docs/start/blender.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "block.py").write_text(block)
+    found = panels.in_blender(extension, tmp_path / "block.py")
+    assert found["block"] == found["after"] != found["before"]
+    table = page[page.index("| panel |"):page.index("In Blender before 5.2")]
+    changed = [(title, line) for title, lines in found["after"].items() for line in lines
+               if line not in found["before"][title]]
+    assert len(changed) == 11
+    for title, line in changed:
+        (row,) = (row for row in re.split(r"\n(?=\| \w)", table) if title.removesuffix(" > Output") in row)
+        words = {"Motion Blur": "off", "Denoise": "off", "Seed": "clock beside Seed", "Color Depth": "32 bits",
+                 "File Format": "EXR", "Media Type": "Multi-Layer EXR"}
+        label = line[0][2] or title.rpartition(" > ")[2]
+        assert words.get(label, label) in row, label
+
+
+@needs_bpy
+def test_the_panel_of_the_pages_is_the_extensions(extension, panels, monkeypatch):
+    monkeypatch.setenv("POSTFX_BPY_PYTHON", PYTHON)
+    page = (ROOT / "docs/howto/hosts.md").read_text(encoding="utf-8")
+    (rows,) = panels.in_blender(extension)["panel"].values()
+    assert [label for line in rows for _, _, label, _ in line if f"| **{label}** |" not in page] == []

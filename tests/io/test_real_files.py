@@ -51,7 +51,7 @@ def test_garage_needs_no_option(shared_dir: Path):
     parts = next(iter(read_sequence(shared_dir / "sequences/garage/noisy.####.exr")))
     single = next(iter(read_sequence(shared_dir / "sequences/garage/interleaved.0001.exr")))
     expected = {Role.COLOUR, Role.ALPHA, Role.DEPTH, Role.MOTION, Role.NORMAL}
-    expected |= {Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DENOISING_ALBEDO}
+    expected |= {Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DENOISING_ALBEDO, Role.DENOISING_NORMAL}
     assert set(parts.planes) == set(single.planes) == expected
     assert parts.samples == 4
     np.testing.assert_array_equal(parts[Role.DEPTH], single[Role.DEPTH])

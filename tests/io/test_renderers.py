@@ -81,6 +81,7 @@ def ray_lengths(miss: float) -> np.ndarray:
 
 IN_CAMERA = NORMAL @ VIEW[:3, :3]
 """Normals along the camera's axes."""
+TRUTH[Role.DENOISING_NORMAL] = IN_CAMERA * [1, 1, -1]  # Cycles looks along z
 
 
 def to_next(per_frame: float = 1.0) -> np.ndarray:
@@ -139,6 +140,7 @@ BLENDER_52 = denoising_data(ray_lengths(np.finfo(np.float32).max)) | (
     | store("ViewLayer.Denoising Roughness", "X", np.sqrt(ROUGHNESS ** 2)))  # the root of alpha, roughness squared
 ALL_BUT_ROUGHNESS = ALBEDOS | {Role.DEPTH, Role.MOTION, Role.NORMAL}
 SURFACE = {Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.DEPTH}
+DENOISING_DATA = SURFACE | {Role.DENOISING_NORMAL}
 ARNOLD = (picture() | store("N", "XYZ", NORMAL) | store("Z", "", depth_with(np.inf))
           | store("diffuse_albedo", "RGB", DIFFUSE) | store("specular_albedo", "RGB", SPECULAR)
           | store("albedo", "RGB", OTHER) | store("motionvector", "RGB", np.concatenate([to_next(0.5), DEPTH], axis=2)))
@@ -167,21 +169,21 @@ LAYOUTS = {
         name: {key: plane for key, plane in BLENDER_5.items() if key.startswith(name)}
         for name in dict.fromkeys(key.rpartition(".")[0] for key in BLENDER_5)}, ALL_BUT_ROUGHNESS),
     "Blender 5.2, Denoising Data alone": Layout(
-        "cycles-5", BLENDER_52, SURFACE | ALBEDOS | {Role.ROUGHNESS}, CAMERA, depth=f"ray,fov={FOV}"),
+        "cycles-5", BLENDER_52, DENOISING_DATA | ALBEDOS | {Role.ROUGHNESS}, CAMERA, depth=f"ray,fov={FOV}"),
     "Blender 5.2, Denoising Data and Diffuse Color": Layout(
         "cycles-5", BLENDER_52 | store("ViewLayer.Diffuse Color", "RGB", OTHER),
-        SURFACE | ALBEDOS | {Role.ROUGHNESS}, CAMERA, depth=f"ray,fov={FOV}"),
+        DENOISING_DATA | ALBEDOS | {Role.ROUGHNESS}, CAMERA, depth=f"ray,fov={FOV}"),
     "Blender 5.2, Denoising Data and both colours": Layout(
         "cycles-5", BLENDER_5 | BLENDER_52 | {
             f"ViewLayer.{name}.{letter}": OTHER[:, :, 0] for letter in "RGB"
             for name in ("Combined", "Denoising Albedo", "Denoising Specular Albedo")},
-        ALL_BUT_ROUGHNESS | {Role.ROUGHNESS}),
+        ALL_BUT_ROUGHNESS | {Role.ROUGHNESS, Role.DENOISING_NORMAL}),
     "Blender 4": Layout(
         "cycles-4", blender("View Layer", "DiffCol", "GlossCol"), ALL_BUT_ROUGHNESS, {"Software": "Blender 4.5.3"}),
     "Blender 2.8 to 4 without its header": Layout(
         "cycles-4", blender("RenderLayer", "DiffCol", "GlossCol"), ALL_BUT_ROUGHNESS),
     "Blender 4, Denoising Data": Layout(
-        "cycles-4", denoising_data(ray_lengths(0)), SURFACE | {Role.DENOISING_ALBEDO},
+        "cycles-4", denoising_data(ray_lengths(0)), DENOISING_DATA | {Role.DENOISING_ALBEDO},
         {"Software": "Blender 4.2.1", **CAMERA_FORWARD}, depth=f"ray,fov={FOV},miss=0"),
     "Cycles in Gaffer, a file a plane": Layout("cycles-hosts", {
         "beauty": picture(), "diffuse_color": store("", "RGB", DIFFUSE), "glossy_color": store("", "RGB", SPECULAR),

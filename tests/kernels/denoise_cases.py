@@ -8,14 +8,16 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import BLEND, FINE, GUIDE_PLANES, MEMORY, NEAR_CELL
+from postfx.kernels.denoise import BLEND, FINE, GUIDE_PLANES, MEMORY, MIRRORED_PLANES, NEAR_CELL
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
-from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
+from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
     OPEN,
+    OPEN_ERROR,
     OPEN_FINE,
     OPEN_FINE_PRODUCTS,
+    OPEN_LOGITS,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     PACK,
@@ -35,13 +37,13 @@ from postfx.runtime.states import parse
 
 KERNELS = (
     SCALE, DILATE, HISTORY, FEATURE,
-    GUIDE, TRUST, ACCUMULATE, POOL,
+    GUIDE, MIRROR, TRUST, ACCUMULATE, POOL,
     MIX_LEVELS, REMODULATE_BOTH, MEANS,
     FILTER, REMODULATE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED,
     RESIZE, REFLECTIONS, JUDGE, DETAIL,
     RESTORE, STRENGTH, RESAMPLE, REACTIVE,
     SPREAD_MASK, KEEP, ENLARGE, OVER, OVER_ALPHA, ASSEMBLE,
-    PACK, OPEN, OPEN_FINE, OPEN_PHASED,
+    PACK, OPEN, OPEN_FINE, OPEN_PHASED, OPEN_LOGITS, OPEN_ERROR,
     OPEN_PRODUCTS, OPEN_FINE_PRODUCTS, STORE,
     STORE_RINGED,
     REFLECT, ACCUMULATE_PART, UPSAMPLE_LIGHT, BALANCE, GATHER, LEVEL, ENLARGE_ALPHA, FIT, CORRECT,
@@ -51,7 +53,7 @@ KERNELS = (
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "part", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth",
-         "image", "strength", "reactive", "opaque_colour", *GUIDE_PLANES)
+         "image", "strength", "reactive", "opaque_colour", *GUIDE_PLANES, *MIRRORED_PLANES)
 
 
 class Case(NamedTuple):
@@ -169,8 +171,10 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.array([1.7, *jitter, 0.8])
     if name == "means":  # one cell where planes are not doubted
         return unit[:1, :1] if case.h % 2 else unit
-    if name in ("raw", "raw_fine", "phased_fine"):
+    if name in ("raw", "raw_fine", "phased_fine", "fine_logits"):
         return random.normal(0, 4, size)
+    if name == "log_error":
+        return 18 * unit - 16
     if name == "products":
         return random.normal(0, 400, size)
     if name == "scaling":
@@ -205,7 +209,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return np.pad(20 * unit[:, 1:-1, 1:-1] ** 3, ((0, 0), (1, 1), (1, 1)), "edge")
     if name in ("motion", "moved"):  # every eighth column is still
         return random.normal(0, 3, size) * (np.arange(size[1]) % 8 > 0)[:, None]
-    if name in ("normal", "guide_normal"):
+    if name in ("normal", "guide_normal", "denoising_normal"):
         return 2 * unit - 1
     if name in ("depth", "last_depth", "guide_depth"):
         return np.where(random.random(size) < 0.05, 1e10, 1 + 9 * unit)

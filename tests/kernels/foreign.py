@@ -59,8 +59,8 @@ def make_program(names: Sequence[str], folder: Path) -> Path:
     """A program of these kernels."""
     declared = "".join(f'extern "C" int {name}(const Word*, void*);\n' for name in names)
     (folder / "program.cpp").write_text(PROGRAM.replace("@DECLARED@", declared).replace("@NAMES@", ", ".join(names)))
-    flags = [flag for flag in build.FLAGS if flag not in ("-shared", "-fPIC")]
-    subprocess.run([sys.executable, "-m", "ziglang", "c++", *flags, "-nostdlib++", "-static", "-target", TARGET, "-o",
+    flags = [*build.FLAGS, "-nostdlib++", "-static", "-target", TARGET]
+    subprocess.run([sys.executable, "-m", "ziglang", "c++", *flags, "-o",
                     folder / "program", folder / "program.cpp", *build.our_units()], check=True)
     return folder / "program"
 

@@ -17,7 +17,7 @@ SMALL_DENOISER = REPOSITORY / "tests/training/small_denoiser.py"
 
 @pytest.fixture(scope="session")
 def exported_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the models 'denoise_upscale.small' and 'doubting', each with and without guides, and 'low'."""
+    """Folder of the models 'denoise_upscale.small' and 'doubting', each with and without guides, 'low', 'residual'."""
     torch = pytest.importorskip("torch")
     folder = tmp_path_factory.mktemp("models")
     sources = [*(REPOSITORY / "training").rglob("*.py"), SMALL_DENOISER, Path(__file__)]
@@ -26,13 +26,14 @@ def exported_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _export(folder: Path) -> None:
-    from tests.training.small_denoiser import DOUBTING, LOW, small_model
+    from tests.training.small_denoiser import DOUBTING, LOW, RESIDUAL, small_model
     from training.denoise.export import card, export_trunk
     from training.export import write_card
 
     for guides, name in ((False, "denoise_upscale.small.onnx"), (True, "denoise_upscale.small.guides.onnx")):
         export_trunk(small_model(guides).trunk, folder / name)
-    for tag, config in (("low", LOW), ("doubting", DOUBTING), ("doubting.guides", DOUBTING)):
+    configs = {"low": LOW, "doubting": DOUBTING, "doubting.guides": DOUBTING, "residual": RESIDUAL}
+    for tag, config in configs.items():
         model, path = small_model(tag.endswith(".guides"), config), folder / f"denoise_upscale.{tag}.onnx"
         checkpoint = {"config": model.config.as_dict(), "weights": model.state_dict(), "notes": {}}
         write_card(path, card(checkpoint, tag, export_trunk(model.trunk, path), {}))

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from postfx.passes import registry
+from postfx.neural import Network
+from postfx.passes import registry, scene
 from postfx.runtime import Device, Library
 from postfx.testing import Maker, PassContract
 from tests import toys
 
+ROOM = Path(__file__).parents[2] / "samples/room"
 TOYS = {"toy double": toys.Double, "toy sum": toys.Sum, "toy enlarge": toys.Enlarge, "toy guide": toys.AddGuide}
 
 
@@ -27,12 +32,19 @@ class TestEveryPass(PassContract):
     """The suite that packages with passes use, once for each of ours."""
 
     @pytest.fixture(params=[*registry.BUILT_IN, *TOYS])
-    def make(self, request, library) -> Maker:
-        """Makes the pass under test, with its default options."""
+    def make(self, request, library, tmp_path, monkeypatch) -> Maker:
+        """Makes the pass under test, with its default options and the model that it cannot do without."""
         if request.param == "toy double":
             return lambda **options: toys.Double(**{"library": library, **options})
         if request.param == "denoise_upscale":  # integers turn over with the last bit of what another kernel computes
             return lambda **options: registry.load(request.param)(**{"model": "m.fp32", **options})
+        if request.param == "irradiance":
+            network = Network(3, (4,), 3)
+            network.save_onnx(tmp_path / "sky.onnx", network.initial(1))
+            return lambda **options: scene.Irradiance(**{"model": str(tmp_path / "sky.onnx"), **options})
+        if request.param == "scene_shading":  # the suite's frames have no camera
+            monkeypatch.setattr(scene, "_facts_of", lambda frame: np.linspace(-1, 1, scene.FACTS, dtype=np.float32))
+            return lambda **options: scene.SceneShading(**{"model": str(ROOM / "temporal.onnx"), **options})
         if request.param in ("oidn", "partner"):
             pytest.importorskip("pyoidn", reason="Open Image Denoise is not installed")
         return TOYS[request.param] if request.param in TOYS else registry.load(request.param)

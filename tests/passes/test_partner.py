@@ -122,6 +122,24 @@ def test_an_albedo_for_denoisers_takes_the_place_of_the_others(device: Device) -
 
 
 @pytest.mark.usefixtures("with_oidn")
+def test_a_normal_for_denoisers_goes_with_such_an_albedo(device: Device) -> None:
+    """It shows the edge of what a mirror shows, where the mirror itself is even."""
+    rng = np.random.default_rng(2)
+    step = (np.arange(SIZE[1]) >= SIZE[1] // 2).astype(np.float32)[None, :, None] * even(1)
+    edge = np.where(step > 0, np.float32([0, 0.6, 0.8]), np.float32([0.6, 0, 0.8])).astype(np.float32)
+    frame = {Role.COLOUR: (0.2 + step) * rng.gamma(4.0, 0.25, (*SIZE, 3)).astype(np.float32),
+             Role.DIFFUSE_ALBEDO: even(0.9), Role.NORMAL: even(0.5)}
+    (plain,) = run([Oidn()], [Frame(frame)], device)
+    (alone,) = run([Oidn()], [Frame({**frame, Role.DENOISING_NORMAL: edge})], device)
+    (both,) = run([Oidn()], [Frame({**frame, Role.DENOISING_ALBEDO: even(0.9), Role.DENOISING_NORMAL: edge})], device)
+    same = {**frame, Role.NORMAL: edge}
+    (wanted,) = run([Oidn()], [Frame(same)], device)
+    np.testing.assert_array_equal(alone[Role.COLOUR], plain[Role.COLOUR])
+    np.testing.assert_array_equal(both[Role.COLOUR], wanted[Role.COLOUR])
+    assert not np.array_equal(plain[Role.COLOUR], wanted[Role.COLOUR])
+
+
+@pytest.mark.usefixtures("with_oidn")
 def test_values_that_are_no_numbers_spoil_nothing(device: Device) -> None:
     bad = picture(diffuse_albedo=even(0.5), normal=even(0.5))
     for role, value in ((Role.COLOUR, np.nan), (Role.COLOUR, np.inf), (Role.DIFFUSE_ALBEDO, np.nan)):

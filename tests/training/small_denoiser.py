@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import torch
 
-from training.denoise.model import DenoiseUpscale, TrunkConfig
+from training.denoise.model import DenoiseUpscale, Trunk, TrunkConfig
+from training.denoise.residual import ResidualConfig, ResidualTrunk
 
 SMALL = TrunkConfig((16, 16, 16, 16), 1)
 LOW = TrunkConfig((16, 16), 1)
@@ -15,10 +16,15 @@ DOUBTING = TrunkConfig((16, 16), 1, trust=True)
 """Says how far planes are trusted."""
 
 
-def small_model(guides: bool = False, config: TrunkConfig = SMALL) -> DenoiseUpscale:
+RESIDUAL = ResidualConfig((8, 8, 8, 8, 8), (1, 1, 1, 1, 1), (1, 1, 1, 1))
+"""From the render size on: reads planes that follow mirrors and glass, and predicts its error."""
+
+
+def small_model(guides: bool = False, config: TrunkConfig | ResidualConfig = SMALL) -> DenoiseUpscale:
     """A network whose weights make all its outputs vary."""
     torch.manual_seed(0)
-    model = DenoiseUpscale(replace(config, guides=guides))
+    residual = isinstance(config, ResidualConfig)
+    model = DenoiseUpscale(trunk=ResidualTrunk(config) if residual else Trunk(replace(config, guides=guides)))
     with torch.no_grad():
         for parameter in model.parameters():
             parameter += torch.randn_like(parameter) * 0.05

@@ -4,8 +4,9 @@ Keys: `reference` (T, H, W, 3) float16 linear Rec.709; for each noisy variant v 
 `v{v}_colour` (T, h, w, 3) float16 clamped to 65504; `v{v}_diffuse_albedo`, `v{v}_specular_albedo`, `v{v}_normal`
 (T, h, w, 3) float16, world space, facing the viewer, zero at misses; `v{v}_roughness` (T, h, w) float16;
 `v{v}_depth` (T, h, w) float32 along the view axis, misses 1e10; `v{v}_motion` (T, h, w, 2) float32, previous minus
-current position in noisy pixels, x right, y down, without jitter; `v{v}_jitter` (T, 2) float32, sample position minus
-0.5, x right, y down; `v{v}_spp` int; `v{v}_style` 'realtime', 'box' or 'blackman-harris'.
+current position in noisy pixels, x right, y down, without jitter; `v{v}_denoising_albedo`, `v{v}_denoising_normal` (T,
+h, w, 3) float16, optional: Blender's planes of that name, which follow mirrors and glass; `v{v}_jitter` (T, 2) float32,
+sample position minus 0.5, x right, y down; `v{v}_spp` int; `v{v}_style` 'realtime', 'box' or 'blackman-harris'.
 `half` (T, H, W, 3) is optional: one half of the reference's samples. Noisy renders with `v{v}_half` true were made from
 the other half, and are compared with this one. The planes of one with `v{v}_exact` true are the truth for all renders.
 Guides, the first-hit planes at output size: `guide_diffuse_albedo`, `guide_specular_albedo`, `guide_normal`
@@ -47,6 +48,7 @@ PLANES = {
     "depth": np.float32,
     "motion": np.float32,
 }
+MIRRORED = ("denoising_albedo", "denoising_normal")  # planes that only some renderers write
 GUIDES = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth")
 DEPTH_RANGE = (1e-4, 1e10)
 HALF_MAX = 65504.0
@@ -100,6 +102,9 @@ def save_clip(path: Path, reference: np.ndarray, variants: list[dict], facts: di
         for name, dtype in PLANES.items():
             values = variant[name]
             arrays[f"v{index}_{name}"] = to_half(values) if dtype is np.float16 else values.astype(dtype)
+        for name in MIRRORED:
+            if name in variant:
+                arrays[f"v{index}_{name}"] = to_half(variant[name])
         arrays[f"v{index}_jitter"] = np.asarray(variant["jitter"], np.float32)
         arrays[f"v{index}_spp"] = np.int32(variant["spp"])
         arrays[f"v{index}_style"] = np.str_(variant["style"])

@@ -325,14 +325,14 @@ def of_layer(values: Tensor, seen: Seen, side: int) -> Tensor:
 
 
 def write_clips(folder: Path, count: int, seed: int, device: torch.device, frames: int = 8, side: int = 128,
-                batch: int = 8) -> None:
-    """Clips in batches of one scale each, drawn from a seed."""
+                batch: int = 8, scale: float | None = None) -> None:
+    """Clips in batches of one scale each, drawn from a seed or given."""
     folder.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(seed)
     random = np.random.default_rng(seed)
     for first in range(0, count, batch):
-        scale = float(random.choice(SCALES, p=CHANCES))
-        clips = draw_clips(min(batch, count - first), frames, side, scale, device)
+        drawn = float(random.choice(SCALES, p=CHANCES))
+        clips = draw_clips(min(batch, count - first), frames, side, scale or drawn, device)
         for i, (reference, variants, facts) in enumerate(clips):
             number = first + i
             save_clip(folder / f"clip.{number:05d}.npz", reference, variants, facts | {"seed": seed * 100_000 + number})
@@ -346,13 +346,14 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--side", type=int, default=128, help="render pixels (default: %(default)s)")
+    parser.add_argument("--scale", type=float, help="one scale for all clips (default: drawn)")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     return parser
 
 
 def main(argv: list[str] | None = None) -> int:
     args = options().parse_args(argv)
-    write_clips(args.out, args.clips, args.seed, torch.device(args.device), args.frames, args.side)
+    write_clips(args.out, args.clips, args.seed, torch.device(args.device), args.frames, args.side, scale=args.scale)
     return 0
 
 

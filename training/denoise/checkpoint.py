@@ -82,7 +82,8 @@ def weights_of(path: Path) -> dict[str, Tensor]:
     alike = (found[level] for level in sorted(found) if level.startswith("level"))
     stored |= {f"alike.{i}": logits_of(level).half().float() for i, level in enumerate(alike)}
     stored["stem.bias"] = stored.pop("stems.0.bias")
-    stored["stem.weight"] = torch.cat([stored.pop(f"stems.{i}.weight") for i in range(2)], 1)
+    parts = sum(name.startswith("stems.") for name in stored)
+    stored["stem.weight"] = torch.cat([stored.pop(f"stems.{i}.weight") for i in range(parts)], 1)
     return {PREFIX + name: values.contiguous() for name, values in stored.items()}
 
 

@@ -20,15 +20,16 @@ from torch import Tensor
 
 from postfx.passes.denoise.planes import HAZY, shows_volume
 from training import ops
+from training.datagen.clip_file import MIRRORED
 from training.denoise.model import Guides, Inputs, State
 
 # Clips and batches --------------------------------------------------------------------------------------------------
 
 PLANES = (("colour", 3), ("diffuse_albedo", 3), ("specular_albedo", 3), ("normal", 3), ("roughness", 1), ("depth", 1),
-          ("motion", 2))
+          ("denoising_albedo", 3), ("denoising_normal", 3), ("motion", 2))
 GUIDES = PLANES[1:6]
 CHANNELS = sum(channels for _, channels in PLANES)
-SOME, MANY = 64, 256  # samples a pixel whose mean albedo is taken for the true one: beside a render of fewer, or alone
+SOME, MANY = 32, 256  # samples a pixel whose mean albedo is taken for the true one: beside a render of fewer, or alone
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
@@ -36,7 +37,7 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 class Clip:
     """``planes`` (V, T, C, h, w) float16, ``jitter`` (V, T, 2), ``reference`` (T, 3, H, W) float16.
 
-    ``planes`` has the 16 channels of ``PLANES``, then two channels for each of ``pairs``, further kinds of motion (see
+    ``planes`` has the 22 channels of ``PLANES``, then two channels for each of ``pairs``, further kinds of motion (see
     ``PAIRS``). ``spread`` (V,) says which renders spread their samples over the pixel, ``samples`` (V,) gives the
     samples a pixel; ``keep`` (T,) is 0 at cuts and at the first frame; ``guides`` (T, 11, H, W) float16 are the planes
     at output size, if asked for. ``halved`` (V,) marks renders from half of the reference's samples, which are compared
@@ -118,8 +119,10 @@ def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[st
     hazy = {v: blank_volumes and shows_volume(data[f"{v}_depth"][0, ..., None].astype(np.float32)) for v in variants}
 
     def plane(key: str) -> Tensor:
-        values = torch.from_numpy(data[key]).to(device)
         variant, _, name = key.partition("_")
+        if name in MIRRORED and key not in data.files:
+            return torch.zeros_like(plane(f"{variant}_normal"))
+        values = torch.from_numpy(data[key]).to(device)
         if hazy.get(variant) and name in HAZY:
             values = torch.full_like(values, ABSENT[name])
         values = values.movedim(-1, 1) if values.ndim == 4 else values[:, None]
@@ -319,7 +322,8 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
         if known is not None:
             albedos[entry] = clip.planes[known, :, ALBEDOS, window[0], window[1]]
         if other != variant:
-            planes[entry, :, SURFACE] = clip.planes[other, :, SURFACE, window[0], window[1]].float()
+            for part in SURFACE:
+                planes[entry, :, part] = clip.planes[other, :, part, window[0], window[1]].float()
     return Stack(
         planes,
         torch.stack([c.jitter[v] for c, v, _ in chosen]),
@@ -375,7 +379,7 @@ def to_batch(stack: Stack) -> Batch:
 
 
 def _inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None, exposure: Tensor) -> Inputs:
-    """Inputs of one frame from stacked planes (N, 16, h, w); ``exposure`` (N, 1, 1, 1)."""
+    """Inputs of one frame from stacked planes (N, 22, h, w); ``exposure`` (N, 1, 1, 1)."""
     split = _split(planes, PLANES)
     split["colour"] = (torch.nan_to_num(split["colour"]).clamp(min=0) * exposure).clamp(max=1e4)
     return Inputs(**split, jitter=jitter, guides=None if guides is None else Guides(**_split(guides, GUIDES)))
@@ -390,11 +394,14 @@ def _split(stacked: Tensor, planes: tuple[tuple[str, int], ...]) -> dict[str, Te
 # Random views of the same clips: mirrored, transposed, recoloured, exposed differently, nearly free of noise, with
 # false motion or missing planes.
 
-NORMAL, MOTION = 9, 14  # first channels of these planes in a stack; further kinds of motion follow motion
+# First channels of these planes in a stack; further kinds of motion follow motion.
+NORMAL, MIRRORED_ALBEDO, MIRRORED_NORMAL, MOTION = 9, 14, 17, 20
 ALBEDOS = slice(3, 9)
-SURFACE = slice(3, 13)  # albedos, normal and roughness: means over a pixel's samples, where those are spread
+# Albedos, normals and roughness: means over a pixel's samples, where those are spread.
+SURFACE = slice(3, 13), slice(14, 20)
 # Values for a plane that a file lacks; postfx/passes/denoise/planes.py fills in the same ones.
-ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0, "motion": 0.0}
+ABSENT = {"diffuse_albedo": 0.0, "specular_albedo": 0.0, "normal": 0.0, "roughness": 0.5, "depth": 1.0,
+          "denoising_albedo": 0.0, "denoising_normal": 0.0, "motion": 0.0}
 # Planes that are missing together, and how often: renderers seldom write roughness.
 LOSSES = (
     (("roughness",), 0.2),
@@ -405,6 +412,7 @@ LOSSES = (
     (("diffuse_albedo",), 0.03),
     (("diffuse_albedo", "specular_albedo"), 0.05),
     (("motion",), 0.03),
+    (MIRRORED, 0.3),
     (tuple(ABSENT), 0.05),
 )
 
@@ -515,13 +523,17 @@ def _flip(stack: Stack) -> Stack:
 def _permute_channels(stack: Stack) -> Stack:
     """Shuffle the colour primaries and the axes of the world; neither has a preferred order."""
     rgb, xyz = random.sample(range(3), 3), random.sample(range(3), 3)
-    rest = range(12, stack.planes.shape[2])
-    order = [*rgb, *(3 + i for i in rgb), *(6 + i for i in rgb), *(9 + i for i in xyz), *rest]
+    axes = random.sample(range(3), 3)  # of the other normal, which may be the camera's
+    order = list(range(stack.planes.shape[2]))
+    for first, places in ((0, rgb), (3, rgb), (6, rgb), (NORMAL, xyz), (MIRRORED_ALBEDO, rgb), (MIRRORED_NORMAL, axes)):
+        order[first:first + 3] = [first + i for i in places]
     signs = torch.ones(len(order), device=stack.planes.device)
-    signs[NORMAL:NORMAL + 3] = torch.tensor([random.choice((-1.0, 1.0)) for _ in range(3)])
+    for first in (NORMAL, MIRRORED_NORMAL):
+        signs[first:first + 3] = torch.tensor([random.choice((-1.0, 1.0)) for _ in range(3)])
     planes = stack.planes[:, :, order] * signs[:, None, None]
     guides = stack.guides
     if guides is not None:
-        guides = guides[:, :, [c - 3 for c in order[3:MOTION]]] * signs[3:MOTION, None, None]
+        last = MIRRORED_ALBEDO
+        guides = guides[:, :, [c - 3 for c in order[3:last]]] * signs[3:last, None, None]
     return replace(stack, planes=planes, reference=stack.reference[:, :, rgb],
                    albedos=stack.albedos[:, :, [*rgb, *(3 + i for i in rgb)]], guides=guides)

@@ -13,14 +13,16 @@ from typing import Any
 import torch
 from torch import nn
 
-from postfx.kernels.denoise import FINE, GUIDES, HIDDEN, KERNEL, PHASES
+from postfx.kernels.denoise import FINE, GUIDES, HIDDEN, KERNEL, MIRRORED, PHASES
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
-from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
+from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
     OPEN,
+    OPEN_ERROR,
     OPEN_FINE,
     OPEN_FINE_PRODUCTS,
+    OPEN_LOGITS,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     PACK,
@@ -35,8 +37,17 @@ from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
 from postfx.kernels.partner import ENLARGE_MOTION, MIX_PARTNER
 from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
-from postfx.passes.denoise.network import FEATURE_PARTS, PHASED_FINE
-from training.denoise.model import Trunk, TrunkConfig, stem
+from postfx.passes.denoise.network import ERROR, FEATURE_PARTS, FINE_LOGITS, PHASED_FINE
+from training.denoise.model import LEVELS, Trunk, TrunkConfig, filters, stem
+from training.denoise.residual import (
+    LEAST_ERROR,
+    MOST_ERROR,
+    STEEPEST,
+    ResidualConfig,
+    ResidualTrunk,
+    layout_from,
+    normalise,
+)
 from training.export import export, export_kernel, parity, parser, read_quality, write_card, write_model
 from training.kernels import denoise as kernels
 from training.kernels import extras, partner, parts
@@ -44,10 +55,12 @@ from training.kernels import extras, partner, parts
 CHECKED = (48, 80)  # size at which the export is compared with torch: not the size that is traced
 SUMMARIES = {"": "recurrent denoised upscaler, 1x to 3x", UNSCALED: "recurrent denoised upscaler, for 1x",
              GUIDED: "recurrent denoised upscaler, 1x to 3x, guides at output size"}
-OUTPUTS = (PHASED_FINE, "level1", "level2", "level3", "level4")
+CONTENT = (f"logits of 5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and sharpening at four "
+           f"phases 4 + 4, mix, distrust, importance, hidden state {HIDDEN}")
 MEANING = {
-    PHASED_FINE: f"logits of 5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES}, history blend and sharpening at "
-    f"four phases 4 + 4, mix, distrust, importance, hidden state {HIDDEN}; of each the four phases of 2x2 pixels",
+    PHASED_FINE: f"{CONTENT}; of each the four phases of 2x2 pixels",
+    FINE_LOGITS: CONTENT,
+    ERROR: "natural logarithm of the expected squared error of each pixel, in sRGB code values of x / (1 + x)",
     "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
     "level4": f"5x5 kernel {KERNEL}",
 }
@@ -69,6 +82,7 @@ KERNELS = {
     HISTORY: kernels.History,
     FEATURE: kernels.Features,
     GUIDE: kernels.GuideFeatures,
+    MIRROR: kernels.MirroredFeatures,
     TRUST: kernels.Trust,
     MEANS: kernels.Means,
     ACCUMULATE: kernels.Accumulate,
@@ -111,6 +125,8 @@ KERNELS = {
     OPEN: kernels.Open,
     OPEN_FINE: kernels.OpenFine,
     OPEN_PHASED: kernels.OpenPhased,
+    OPEN_LOGITS: kernels.OpenLogits,
+    OPEN_ERROR: kernels.OpenError,
     OPEN_PRODUCTS: kernels.OpenProducts,
     OPEN_FINE_PRODUCTS: kernels.OpenFineProducts,
     STORE: kernels.Store,
@@ -124,24 +140,34 @@ def export_kernels(folder: Path) -> None:
         export_kernel(kernel, definition(), SIZES, folder)
 
 
-def load_trunk(checkpoint: dict[str, Any]) -> Trunk:
+def load_trunk(checkpoint: dict[str, Any]) -> Trunk | ResidualTrunk:
     """The trunk of a checkpoint of train.py: weights rounded to half precision, kept as float32."""
-    trunk = Trunk(TrunkConfig.from_dict(checkpoint["config"]))
+    layout = layout_from(checkpoint["config"])
+    trunk = ResidualTrunk(layout) if isinstance(layout, ResidualConfig) else Trunk(layout)
     weights = {key.removeprefix("trunk."): value.half().float() for key, value in checkpoint["weights"].items()}
     trunk.load_state_dict(weights)
     return trunk.eval()
 
 
-def example(trunk: Trunk, height: int, width: int) -> tuple[torch.Tensor, ...]:
-    """Features, and guides where the network reads them, with the ranges of real ones."""
+def example(trunk: Trunk | ResidualTrunk, height: int, width: int) -> tuple[torch.Tensor, ...]:
+    """Features, and guides or planes where the network reads them, with the ranges of real ones."""
     generator = torch.Generator().manual_seed(0)
     sizes = inputs(trunk.config).values()
     return tuple(torch.rand(1, channels, height, width, generator=generator) * 2 - 0.5 for channels in sizes)
 
 
-def inputs(config: TrunkConfig) -> dict[str, int]:
+def inputs(config: TrunkConfig | ResidualConfig) -> dict[str, int]:
     """Names of the network's inputs and their channels."""
-    return FEATURE_PARTS | ({"guides": GUIDES} if config.guides else {})
+    further = {"guides": GUIDES} if config.guides else {}
+    return FEATURE_PARTS | further | ({"mirrored": MIRRORED} if config.mirrored else {})
+
+
+def outputs(config: TrunkConfig | ResidualConfig) -> tuple[str, ...]:
+    """Names of the network's outputs."""
+    levels = tuple(f"level{level}" for level in range(1, LEVELS + 1))
+    if not isinstance(config, ResidualConfig):
+        return PHASED_FINE, *levels
+    return FINE_LOGITS, *levels, *((ERROR,) if config.mirrored else ())
 
 
 class ExportedTrunk(Trunk):
@@ -165,32 +191,64 @@ class ExportedTrunk(Trunk):
         return self.fine(x)
 
 
-def export_trunk(trunk: Trunk, path: Path) -> float:
+class ExportedResidual(ResidualTrunk):
+    """The same network, except that it reads its inputs in parts, and its fine head ends with the convolution."""
+
+    def __init__(self, trunk: ResidualTrunk):
+        super().__init__(trunk.config)
+        self.load_state_dict(trunk.state_dict())
+        shares = self.stem.weight.detach().split(list(inputs(self.config).values()), 1)
+        self.stems = nn.ModuleList(nn.Conv2d(share.shape[1], share.shape[0], 3, padding=1, bias=i == 0)
+                                   for i, share in enumerate(shares))
+        for part, share in zip(self.stems, shares, strict=True):
+            part.weight = nn.Parameter(share.contiguous())
+        self.stems[0].bias = self.stem.bias
+
+    def forward(self, first: torch.Tensor, last: torch.Tensor,
+                mirrored: torch.Tensor | None = None) -> tuple[torch.Tensor, ...]:
+        x = self.stems[0](first) + self.stems[1](last)
+        return self.behind(x if mirrored is None else x + self.stems[2](mirrored))
+
+    def level_head(self, head: nn.Conv2d, stream: torch.Tensor) -> torch.Tensor:
+        return filters(head(normalise(stream)).clamp(-STEEPEST, STEEPEST))
+
+    def all_heads(self, stream: torch.Tensor, levels: list[torch.Tensor]) -> tuple[torch.Tensor, ...]:
+        ends = () if self.error is None else (self.error(stream).clamp(LEAST_ERROR, MOST_ERROR),)
+        return self.fine(stream), *levels, *ends
+
+
+def exported(trunk: Trunk | ResidualTrunk) -> nn.Module:
+    """The network as its file holds it."""
+    return ExportedResidual(trunk) if isinstance(trunk, ResidualTrunk) else ExportedTrunk(trunk)
+
+
+def export_trunk(trunk: Trunk | ResidualTrunk, path: Path) -> float:
     """Write the network and compare it with torch; returns the largest relative error. Raises ParityError."""
     # torch checks that the sizes of skip connections match, so it must know what the input is a multiple of.
     free = {2: trunk.align * torch.export.Dim("rows", min=1), 3: trunk.align * torch.export.Dim("columns", min=1)}
-    reads = inputs(trunk.config)
+    reads, writes = inputs(trunk.config), outputs(trunk.config)
     names = {name: (1, channels, "height", "width") for name, channels in reads.items()}
-    names |= {name: (1, _channels(name), *("??" if has_level(trunk.config, name) else (1, 1))) for name in OUTPUTS}
-    model = export(ExportedTrunk(trunk), example(trunk, 64, 96), list(reads), OUTPUTS, path, [free] * len(reads), names)
+    names |= {name: (1, _channels(name), *("??" if has_level(trunk.config, name) else (1, 1))) for name in writes}
+    module = exported(trunk)
+    model = export(module, example(trunk, 64, 96), list(reads), writes, path, [free] * len(reads), names)
     height, width = CHECKED
-    error = parity(ExportedTrunk(trunk), path, example(trunk, height, width), {"height": height, "width": width})
+    error = parity(module, path, example(trunk, height, width), {"height": height, "width": width})
     write_model(model, path)
     return error
 
 
-def has_level(config: TrunkConfig, output: str) -> bool:
+def has_level(config: TrunkConfig | ResidualConfig, output: str) -> bool:
     """Whether the network computes an output, which otherwise is the same at all pixels."""
-    return output == PHASED_FINE or int(output[-1]) <= len(config.widths)
+    return isinstance(config, ResidualConfig) or output == PHASED_FINE or int(output[-1]) <= len(config.widths)
 
 
 def _channels(name: str) -> int:
-    return {PHASED_FINE: 4 * FINE, "level4": KERNEL}.get(name, KERNEL + 1)
+    return {PHASED_FINE: 4 * FINE, FINE_LOGITS: FINE, ERROR: 1, "level4": KERNEL}.get(name, KERNEL + 1)
 
 
 def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, Any]) -> dict[str, Any]:
     """What the run-time and a reader need to know about the model."""
-    config = TrunkConfig.from_dict(checkpoint["config"])
+    config = layout_from(checkpoint["config"])
     return {
         "name": f"denoise_upscale.{tag}",
         "pass": "denoise_upscale",
@@ -204,7 +262,8 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
             }
             for name, channels in inputs(config).items()
         },
-        "outputs": {name: _output(config, name) for name in OUTPUTS},
+        "outputs": {name: _output(config, name) for name in outputs(config)},
+        **_manners(config),
         "config": checkpoint["config"],
         "training": {"script": "training/denoise/train.py", **checkpoint["notes"]},
         "parity": {"max_relative_error": float(f"{error:.2g}"), "against": f"torch {torch.__version__}"},
@@ -212,10 +271,20 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
     }
 
 
-def _output(config: TrunkConfig, name: str) -> dict[str, Any]:
+def _manners(config: TrunkConfig | ResidualConfig) -> dict[str, Any]:
+    """How a network is run, where not as most are: with the planes of volumes, and with all pixels that it sees."""
+    if not isinstance(config, ResidualConfig):
+        return {}
+    pyramid = 2 * sum(1 << level for level in range(LEVELS + 1))
+    return {"blanks_volumes": False, "halo": config.reach + pyramid}
+
+
+def _output(config: TrunkConfig | ResidualConfig, name: str) -> dict[str, Any]:
     meaning = MEANING.get(name, MEANING["level"])
     if not has_level(config, name):
         return {"shape": [1, _channels(name), 1, 1], "meaning": f"{meaning}; {ALIKE}", "constant": True}
+    if name in (FINE_LOGITS, ERROR):
+        return {"shape": [1, _channels(name), "height", "width"], "meaning": meaning}
     level = 1 if name == PHASED_FINE else int(name[-1])
     return {"shape": [1, _channels(name), f"height/{2**level}", f"width/{2**level}"], "meaning": meaning}
 

@@ -84,6 +84,8 @@ LIGHT_CELL, LIGHT_MOST, LIGHT_FLOOR = 16, 1000.0, 0.05
 LIGHT = 0.5, 0.05  # weight and knee of the error of light
 DARK_REFLECTANCE, REFLECTANCE_KNEE = 0.05, 0.1
 SEEN = 0.5  # weight of the perceived difference
+ERROR = 0.1  # weight of the predicted error
+ERROR_FLOOR = 0.03  # code values: smaller expected errors count alike
 NOISY = 0.2  # input error (display-encoded) of frames that count once
 
 
@@ -127,6 +129,20 @@ def reflectance_loss(planes: Inputs, share: Tensor, wanted: Tensor) -> Tensor:
     known = ~wanted.isnan()
     ratio = (found + DARK_REFLECTANCE) / (torch.where(known, wanted, found) + DARK_REFLECTANCE)
     return huber(ratio.log(), REFLECTANCE_KNEE)
+
+
+def error_loss(predicted: Tensor, output: Tensor, reference: Tensor) -> Tensor:
+    """Loss of the ``predicted`` logarithm (N, 1, h, w) of the expected squared error of the display-encoded ``output``
+    (N, 3, H, W), of the same size or larger.
+
+    Its least value is at the mean of the squared error, as that of a Poisson likelihood; each pixel counts the more,
+    the smaller its expected error is.
+    """
+    h, w = predicted.shape[-2:]
+    squared = F.adaptive_avg_pool2d((output - reference).detach().square().mean(1, keepdim=True), (h, w))
+    expected = predicted.exp()
+    weight = 1 / (expected.detach().sqrt() + ERROR_FLOOR)
+    return (weight * (expected - squared * predicted)).mean()
 
 
 def flicker_loss(output: Tensor, previous: Tensor, reference: Tensor, reference_previous: Tensor,
@@ -197,6 +213,14 @@ class Truth:
         quality = torch.stack([psnr(shown[t].detach(), self.shown[t]).mean() for t in late])
         return (pictures + weight * flicker.sum()) / len(shown), quality.mean(), flicker.detach().mean()
 
+    def error_score(self, outputs: list[Tensor], errors: list[Tensor | None]) -> Tensor | float:
+        """Loss of the predicted ``errors`` of the exposed linear ``outputs``; 0 if the network predicts none."""
+        if errors[0] is None:
+            return 0.0
+        found = [error_loss(error, display(output.detach()), shown)
+                 for error, output, shown in zip(errors, outputs, self.shown, strict=True)]
+        return ERROR * sum(found) / len(found)
+
     def _flicker(self, shown: list[Tensor], t: int) -> Tensor:
         moved = reproject_reference(shown[t - 1], self.motion[t])
         return flicker_loss(shown[t], moved, self.shown[t], self.moved[t - 1], self.explained[t - 1],
@@ -227,10 +251,10 @@ class ClipLoss(nn.Module):
     def _clip(self, batch: Batch) -> Results:
         truth = Truth(batch, self.even, self.light)
         begin = batch.state or empty_state(batch.frames[0], *batch.references.shape[-2:])
-        ahead, counts, trust, end = self._run(batch.frames, list(batch.keep), begin)
+        ahead, counts, trust, errors, end = self._run(batch.frames, list(batch.keep), begin)
         if batch.inverse is None:
             loss, *rest = truth.scores(ahead, self.flicker)
-            return loss + self._doubt(batch, trust), *rest, end
+            return loss + self._doubt(batch, trust) + truth.error_score(ahead, errors), *rest, end
         back, back_counts = (x[::-1] for x in self._run(*backwards(batch), begin)[:2])
         both = [torch.lerp(b, a, n / (n + m)) for a, b, n, m in zip(ahead, back, counts, back_counts, strict=True)]
         own = [truth.scores(outputs, self.flicker)[0] for outputs in (ahead, back)]
@@ -245,17 +269,19 @@ class ClipLoss(nn.Module):
         return self.reflectance * sum(errors) / len(trust)
 
     def _run(self, frames: list[Inputs], keep: list[Tensor],
-             state: State) -> tuple[list[Tensor], list[Tensor], list[Tensor], State]:
+             state: State) -> tuple[list[Tensor], list[Tensor], list[Tensor], list[Tensor | None], State]:
         """Exposed linear outputs, how many frames each has seen, itself included, (N, 1, 1, 1), the trust in its planes
-        (N, 1, h, w), the last hidden channel, and the last state."""
-        outputs, counts, trust = [], [torch.zeros_like(keep[0])], []
+        (N, 1, h, w), the last hidden channel, its predicted error, and the last state."""
+        outputs, counts, trust, errors = [], [torch.zeros_like(keep[0])], [], []
         for inputs, kept in zip(frames, keep, strict=True):
             kept = (torch.rand_like(kept) >= self.reset) * kept
-            output, state, _ = self.model(inputs, state.drop(kept))
-            outputs.append(output)
+            step = self.model.step(inputs, state.drop(kept))
+            state = step.state
+            outputs.append(step.output)
+            errors.append(step.error)
             counts.append(1 + kept * counts[-1])
             trust.append(state.hidden[:, -1:])
-        return outputs, counts[1:], trust, state
+        return outputs, counts[1:], trust, errors, state
 
 
 def backwards(batch: Batch) -> tuple[list[Inputs], list[Tensor]]:

@@ -55,6 +55,11 @@ class TrunkConfig:
     trust: bool = False
 
     @property
+    def mirrored(self) -> bool:
+        """Whether the network reads Blender's Denoising Albedo and Denoising Normal, and predicts its error."""
+        return False
+
+    @property
     def first(self) -> int:
         """Channels of the stem."""
         return self.stem or self.widths[0]
@@ -244,7 +249,8 @@ class Inputs:
     """A frame at render size (h, w), in the conventions of ``postfx.frame``; all NCHW float32.
 
     ``colour`` is already multiplied by the exposure; ``jitter`` is (N, 2); ``gain`` (N, 1, 1, 1) is the exposure over
-    the previous frame's, None if it did not change. Planes may hold NaN and infinity.
+    the previous frame's, None if it did not change. Planes may hold NaN and infinity. ``denoising_albedo`` and
+    ``denoising_normal`` are Blender's planes of that name, which follow mirrors and glass; None: there are none.
     """
 
     colour: Tensor
@@ -257,6 +263,8 @@ class Inputs:
     jitter: Tensor
     gain: Tensor | None = None
     guides: Guides | None = None
+    denoising_albedo: Tensor | None = None
+    denoising_normal: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -355,6 +363,18 @@ def features_of(inputs: Inputs, past: Reprojected, factor: Tensor, scale: Tensor
         plane * shrink, past.hidden), 1)
 
 
+def mirrored_features(inputs: Inputs) -> Tensor:
+    """The planes that follow mirrors and glass, (N, 6, h, w): 0 where a file lacks them."""
+    none = torch.zeros_like(inputs.normal)
+    return mirrored_planes(none if inputs.denoising_albedo is None else inputs.denoising_albedo,
+                           none if inputs.denoising_normal is None else inputs.denoising_normal)
+
+
+def mirrored_planes(albedo: Tensor, normal: Tensor) -> Tensor:
+    """The trunk's channels of these planes, without what no such plane holds."""
+    return torch.cat((ops.sanitise(albedo, 0, 1), ops.sanitise(normal, -1, 1)), 1)
+
+
 def guide_features(guides: Guides, h: int, w: int, scale: Tensor) -> Tensor:
     """The guides at the four quarter-pixel corners of each render pixel, nearest sample: (N, 44, h, w)."""
     at = seen_guides(guides, scale)
@@ -432,6 +452,18 @@ def trust_reflectance(factor: Tensor, share: Tensor) -> Tensor:
     return mix_in_mean(factor, mean, 0.5 - 0.5 * share)
 
 
+@dataclass(frozen=True)
+class Step:
+    """What a frame gives: exposed linear ``output`` (N, 3, H, W), the next ``state``, the last output reprojected
+    (log-encoded), and the logarithm of the expected squared error of each pixel (N, 1, h, w), in code values of the
+    display, or None from a network that does not predict it."""
+
+    output: Tensor
+    state: State
+    reprojected: Tensor
+    error: Tensor | None
+
+
 class DenoiseUpscale(nn.Module):
     """One recurrent step. Output size is free: any width and height of 1 to 3 times the render size.
 
@@ -445,6 +477,11 @@ class DenoiseUpscale(nn.Module):
 
     def forward(self, inputs: Inputs, state: State) -> tuple[Tensor, State, Tensor]:
         """Exposed linear output (N, 3, H, W), the next state, and the last output reprojected (log-encoded)."""
+        done = self.step(inputs, state)
+        return done.output, done.state, done.reprojected
+
+    def step(self, inputs: Inputs, state: State) -> Step:
+        """A frame, with all that the network says of it."""
         h, w = inputs.colour.shape[-2:]
         align = self.trunk.align
         past = reproject(inputs, state)
@@ -453,8 +490,11 @@ class DenoiseUpscale(nn.Module):
         seen = [features(inputs, past, factor, scale)]
         if self.config.guides:
             seen.append(guide_features(guides, h, w, scale))
+        if self.config.mirrored:
+            seen.append(mirrored_features(inputs))
         heads = self.trunk(*(mirror_to_multiple(x, align) if h % align or w % align else x for x in seen))
         fine, *levels = (head.float() for head in heads)
+        error = levels.pop()[..., :h, :w] if self.config.mirrored else None
         coarsest = 2 ** len(levels)
         pad = (0, -w % coarsest, 0, -h % coarsest)
         here = fine[..., :h, :w]
@@ -474,4 +514,4 @@ class DenoiseUpscale(nn.Module):
         shaded = radiance * factor if guided is None else torch.cat((radiance, radiance * factor), 1)
         output = resolve(shaded, here, inputs.jitter, past.output, past.inside, guided)
         state = State(output, accumulated, count, here[:, MEMORY:], inputs.depth, torch.ones_like(state.fresh))
-        return torch.expm1(output), state, past.output
+        return Step(torch.expm1(output), state, past.output, error)

@@ -20,13 +20,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise import FEATURES, FINE, KERNEL, MIX, SHARPEN
-from training.denoise.model import LEVELS, NO_SHARPENING, activate_fine, filters
+from postfx.kernels.denoise import FEATURES, FINE, KERNEL, MIRRORED, MIX, SHARPEN
+from training.denoise.model import LEVELS, NO_SHARPENING, TrunkConfig, activate_fine, filters
 
 BRANCH = 0.2  # of the usual first weights of what a block adds
 STEEPEST = 8.0  # logits stay within this
 LEAST_SQUARE = 1e-6  # added to a mean square before its root
 HEAD_STD = 0.01  # of the heads' first weights: filters start nearly even
+USUAL_ERROR = -6.0  # logarithm of a squared error in code values: 26 dB
+LEAST_ERROR = -14.0
+MOST_ERROR = 0.0
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,8 @@ class ResidualConfig:
     """Layout of the trunk.
 
     ``widths`` are the channels of the levels at 1, 1/2, 1/4, 1/8 and 1/16 of the render size; ``down`` and ``up`` the
-    residual blocks of each level before and after the coarser ones. The coarsest level has no blocks of ``up``.
+    residual blocks of each level before and after the coarser ones. The coarsest level has no blocks of ``up``. A
+    ``mirrored`` network also reads Blender's Denoising Albedo and Denoising Normal, and predicts its error.
     """
 
     widths: tuple[int, ...] = (32, 80, 112, 144, 176)
@@ -42,6 +46,7 @@ class ResidualConfig:
     up: tuple[int, ...] = (1, 2, 2, 2)
     trust: bool = True
     guides: bool = False
+    mirrored: bool = True
 
     def __post_init__(self) -> None:
         if not len(self.widths) == len(self.down) == len(self.up) + 1 == LEVELS + 1:
@@ -51,6 +56,12 @@ class ResidualConfig:
     def align(self) -> int:
         """Height and width of the network's input are multiples of this."""
         return 2 ** LEVELS
+
+    @property
+    def reach(self) -> int:
+        """Pixels of the render size that the network sees around each."""
+        counts = (down + up for down, up in zip(self.down, (*self.up, 0), strict=True))
+        return 1 + sum(2 * count << level for level, count in enumerate(counts))
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -63,7 +74,8 @@ class ResidualConfig:
 
     def products(self) -> float:
         """Multiplications of the network a render pixel."""
-        total, area = 9.0 * FEATURES * self.widths[0] + FINE * self.widths[0], 1.0
+        inputs = FEATURES + (MIRRORED if self.mirrored else 0)
+        total, area = 9.0 * inputs * self.widths[0] + FINE * self.widths[0], 1.0
         for level, width in enumerate(self.widths):
             blocks = self.down[level] + (self.up[level] if level < LEVELS else 0)
             total += area * blocks * 2 * 9 * width * width
@@ -108,14 +120,19 @@ def blocks(width: int, count: int) -> nn.Sequential:
 
 
 class ResidualTrunk(nn.Module):
-    """Features (N, 35, h, w), h and w multiples of 16 -> the activated heads of `model.Trunk`."""
+    """Features (N, 35, h, w), h and w multiples of 16 -> the activated heads of `model.Trunk`.
+
+    A ``mirrored`` network also reads `model.mirrored_features` (N, 6, h, w), and after the heads gives the logarithm of
+    the expected squared error of each pixel, (N, 1, h, w).
+    """
 
     def __init__(self, config: ResidualConfig | None = None):
         super().__init__()
         self.config = config or ResidualConfig()
         widths = self.config.widths
         self.align = self.config.align
-        self.stem = nn.Conv2d(FEATURES, widths[0], 3, padding=1)
+        inputs = FEATURES + (MIRRORED if self.config.mirrored else 0)
+        self.stem = nn.Conv2d(inputs, widths[0], 3, padding=1)
         self.down = nn.ModuleList(map(blocks, widths, self.config.down))
         self.up = nn.ModuleList(map(blocks, widths, self.config.up))
         self.shrink = nn.ModuleList(nn.Conv2d(widths[i], widths[i + 1], 2, stride=2) for i in range(LEVELS))
@@ -127,23 +144,41 @@ class ResidualTrunk(nn.Module):
             nn.init.normal_(head.weight, std=HEAD_STD)
             nn.init.zeros_(head.bias)
         nn.init.constant_(self.fine.bias[SHARPEN:MIX], NO_SHARPENING)
+        self.error = None
+        if self.config.mirrored:
+            self.error = nn.Sequential(nn.Conv2d(widths[0], widths[0], 1), nn.ReLU(), nn.Conv2d(widths[0], 1, 1))
+            nn.init.constant_(self.error[-1].bias, USUAL_ERROR)
 
-    def forward(self, features: Tensor) -> tuple[Tensor, ...]:
-        return self.behind(self.stem(features))
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        return self.behind(self.stem(torch.cat(inputs, 1)))
 
     def behind(self, x: Tensor) -> tuple[Tensor, ...]:
-        """The heads from the stem's output: ``fine`` (N, 80, h, w), ``level1`` .. ``level4``."""
+        """The heads from the stem's output: ``fine`` (N, 80, h, w), ``level1`` .. ``level4``, ``error``."""
         skips = []
         for level, stack in enumerate(self.down):
             x = stack(self.shrink[level - 1](x) if level else x)
             skips.append(x)
-        levels = [filters(bound(self.heads[-1](normalise(x))))]
+        levels = [self.level_head(self.heads[-1], x)]
         for level in reversed(range(LEVELS)):
             lifted = F.interpolate(self.lift[level](x), scale_factor=2.0, mode="nearest")
             x = self.up[level](skips[level] + lifted)
             if level:
-                levels.insert(0, filters(bound(self.heads[level - 1](normalise(x)))))
-        return self._fine(x), *levels
+                levels.insert(0, self.level_head(self.heads[level - 1], x))
+        return self.all_heads(normalise(x), levels)
 
-    def _fine(self, x: Tensor) -> Tensor:
-        return activate_fine(bound(self.fine(normalise(x))))
+    def level_head(self, head: nn.Conv2d, stream: Tensor) -> Tensor:
+        """A coarser level's kernel and mix."""
+        return filters(bound(head(normalise(stream))))
+
+    def all_heads(self, stream: Tensor, levels: list[Tensor]) -> tuple[Tensor, ...]:
+        """The finest level's heads from its normalised stream, and those of the others."""
+        fine = activate_fine(bound(self.fine(stream)))
+        if self.error is None:
+            return fine, *levels
+        return fine, *levels, self.error(stream).float().clamp(LEAST_ERROR, MOST_ERROR)
+
+
+def layout_from(config: dict[str, Any]) -> TrunkConfig | ResidualConfig:
+    """The layout that a checkpoint's config tells."""
+    kind = ResidualConfig if "down" in config else TrunkConfig
+    return kind.from_dict(config)

@@ -12,7 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise import BORDER_CELLS, MOST_STATE, PLANE_TRUST, TRUST_CELL, UNKNOWN
+from postfx.kernels.denoise import BORDER_CELLS, MOST_STATE, PLANE_TRUST, STEEPEST, TRUST_CELL, UNKNOWN
+from postfx.kernels.denoise.network_io import LEAST_LOG_ERROR, MOST_LOG_ERROR
 from postfx.kernels.denoise.output import HELD, OWN
 from training import ops
 from training.denoise import model as network
@@ -193,6 +194,17 @@ class GuideFeatures(nn.Module):
         return torch.cat([ops.pick(seen, at[0][i], at[1][j]) for i in range(2) for j in range(2)], 1)
 
 
+class MirroredFeatures(nn.Module):
+    """denoising_albedo and denoising_normal (h, w, 3), window, seen_rows (hp,), seen_columns (wp,)
+    -> mirrored (1, 6, hp, wp)."""
+
+    def forward(self, denoising_albedo: Tensor, denoising_normal: Tensor, window: Tensor, rows: Tensor,
+                columns: Tensor) -> Tensor:
+        frame = Window.of(window)
+        seen = network.mirrored_planes(to_image(denoising_albedo), to_image(denoising_normal))
+        return ops.pick(seen, frame.top + rows.long(), frame.left + columns.long())
+
+
 class Means(nn.Module):
     """albedos (h, w, 3), part_rows (th,), part_columns (tw,) -> means (cells, cells, 3) of the frame, beginning one
     cell before the part; the frame's first and last cells repeat beyond it."""
@@ -369,6 +381,21 @@ class OpenPhased(nn.Module):
 
     def forward(self, phased_fine: Tensor) -> Tensor:
         return activate_fine(F.pixel_shuffle(phased_fine, 2))
+
+
+class OpenLogits(nn.Module):
+    """fine_logits (1, 80, hp, wp) -> fine (1, 80, hp, wp), activated."""
+
+    def forward(self, fine_logits: Tensor) -> Tensor:
+        return activate_fine(ops.sanitise(fine_logits, -STEEPEST, STEEPEST))
+
+
+class OpenError(nn.Module):
+    """log_error (1, 1, hp, wp), part_rows (th,), part_columns (tw,) -> error (th, tw, 1)."""
+
+    def forward(self, log_error: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
+        held = log_error[..., : rows.shape[0], : columns.shape[0]]
+        return to_picture(torch.exp(ops.sanitise(held, LEAST_LOG_ERROR, MOST_LOG_ERROR)))
 
 
 class OpenProducts(nn.Module):

@@ -45,6 +45,8 @@ FINE = MEMORY + HIDDEN
 """Channels of the fine head: where its parts begin behind the 5x5 kernel, and how many there are."""
 PLANE_TRUST = FINE - 1
 """The last hidden channel, -1 to 1: how far networks that doubt planes trust a pixel's reflectance."""
+MIRRORED = 6
+"""Channels of the planes that follow mirrors and glass: Denoising Albedo and Denoising Normal."""
 GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
 EXPOSURE, JITTER_X, JITTER_Y, GAIN = range(4)
 TOP, LEFT, HEIGHT, WIDTH, OUT_TOP, OUT_LEFT, OUT_HEIGHT, OUT_WIDTH = range(8)
@@ -85,11 +87,12 @@ GUIDE_PLANES = {
     "guide_normal": ("height", "width", 3), "guide_roughness": ("height", "width", 1),
     "guide_depth": ("height", "width", 1),
 }
+MIRRORED_PLANES = {"denoising_albedo": ("h", "w", 3), "denoising_normal": ("h", "w", 3)}
 BOTH = (6, "padded_h", "padded_w")
 """Radiance without reflectance and with it."""
 BORDER_CELLS = 3
 """Cells of mean reflectance beyond those that fit into a part: one before it and two after it."""
-SHAPES = PLANES | GUIDE_PLANES | {
+SHAPES = PLANES | GUIDE_PLANES | MIRRORED_PLANES | {
     "depth_scale": (1,), "moved": ("th", "tw", 2), "history": ("height", "width", 3), "warped": ("out_th", "out_tw", 3),
     "params": (4,), "window": (8,), "part_rows": ("th",), "part_columns": ("tw",),
     "seen_rows": ("hp",), "seen_columns": ("wp",), "out_rows": ("out_th",), "out_columns": ("out_tw",),
@@ -101,7 +104,7 @@ SHAPES = PLANES | GUIDE_PLANES | {
     "coarse": ("planes", "coarse_h", "coarse_w"), "coarse_rows": ("hp",), "coarse_columns": ("wp",),
     "heads": (1, "heads", "hp", "wp"), "area": (2,), "filtered": (3, "hp", "wp"),
     "radiance": (3, "padded_h", "padded_w"), "output": ("out_th", "out_tw", 3), "next_history": ("out_th", "out_tw", 3),
-    "guides": (1, GUIDES, "hp", "wp"), "trust": ("cells_h", "cells_w", 1),
+    "guides": (1, GUIDES, "hp", "wp"), "mirrored": (1, MIRRORED, "hp", "wp"), "trust": ("cells_h", "cells_w", 1),
     "means": ("means_h", "means_w", 3), "factor": ("th", "tw", 3),
     "codes": (1, "half_hp", "half_wp", "codes"), "factors": ("rows", "codes"), "scaling": (2, "outputs"),
 }

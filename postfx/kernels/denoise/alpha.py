@@ -17,8 +17,18 @@ are worked on, 1 in those around them, which these read, and 0 elsewhere.
 import numpy as np
 
 from postfx.kernels.denoise import NEAR_CELL, kernel
-from postfx.kernels.denoise.history import cubic
-from postfx.kernels.numeric import Four, Real, add_eight, centre, clamp, compiled, fused, inline, load_eight
+from postfx.kernels.numeric import (
+    Four,
+    Real,
+    add_eight,
+    centre,
+    clamp,
+    compiled,
+    fused,
+    fused_inline,
+    inline,
+    load_eight,
+)
 
 ZERO, QUARTER, HALF, ONE, TWO = np.float32(0), np.float32(0.25), np.float32(0.5), np.float32(1), np.float32(2)
 SIX, NINE, NINTH, LARGE = np.float32(6), np.float32(9), np.float32(1 / 9), np.float32(1e30)
@@ -39,6 +49,15 @@ LIMIT_OFF, LEAST_OFF = np.float32(9), np.float32(4e-4)
 SIDE, MIDDLE = np.float32(0.27406862), np.float32(0.45186276)
 """Weights of three pixels by a Gaussian of one pixel."""
 QUARTERS, NEAR = ("2*h", "2*w", 1), ("near_h", "near_w")
+
+
+@fused_inline
+def cubic(t: Real) -> tuple[Real, Real, Real, Real]:
+    """The four weights of cubic convolution with a = -0.75, the ONNX GridSample and OpenCV default."""
+    a = np.float32(-0.75)
+    u, v, s = t + ONE, ONE - t, np.float32(2) - t
+    return (((a * u - 5 * a) * u + 8 * a) * u - 4 * a, ((a + 2) * t - (a + 3)) * t * t + ONE,
+            ((a + 2) * v - (a + 3)) * v * v + ONE, ((a * s - 5 * a) * s + 8 * a) * s - 4 * a)
 
 
 @compiled

@@ -31,25 +31,33 @@ from postfx.kernels.denoise import (
     MOST_LOG,
     MOST_STATE,
     REFLECTANCE,
+    STATE,
     TINY,
     TOP,
+    UNKNOWN,
     WIDTH,
     kernel,
 )
-from postfx.kernels.denoise.features import PLACES, locate_row, recall_row
 from postfx.kernels.denoise.history import kept_row
 from postfx.kernels.denoise.upsample import gauss, pixel_of
 from postfx.kernels.numeric import (
     Real,
     add,
+    add_eight,
     clamp,
     compiled,
     demodulation,
     exp,
     expm1,
     fused,
+    load_eight,
+    load_four,
     log_encode,
+    mix_eight,
+    mix_four,
     place,
+    store_eight,
+    store_four,
     weigh_picked,
     weigh_three,
 )
@@ -84,6 +92,76 @@ def slope_row(before: np.ndarray, here: np.ndarray, after: np.ndarray, out: np.n
     for x in range(out.size):
         left, right = here[x] - before[x], after[x] - here[x]
         out[x] = left if abs(left) < abs(right) else right
+
+
+PLACES, NEAR = 5, 4
+"""Rows of places in the history: its four pixels around each pixel, left to right and down, and the nearest."""
+
+
+@fused
+def is_unknown(a: Real, b: Real, c: Real, d: Real, tx: Real, ty: Real) -> Real:
+    """Whether more than a trace of a pixel is missing in the history, by its neighbours' counts and weights."""
+    if min(min(a, b), min(c, d)) > ZERO:
+        return False
+    left, upper = ONE - tx, ONE - ty
+    lacking = left * upper if a <= ZERO else ZERO
+    lacking += tx * upper if b <= ZERO else ZERO
+    lacking += left * ty if c <= ZERO else ZERO
+    lacking += tx * ty if d <= ZERO else ZERO
+    return lacking > np.float32(UNKNOWN)
+
+
+@fused
+def locate_row(y: int, left: int, moved: np.ndarray, h: int, w: int, keep: np.ndarray, places: np.ndarray,
+               shares: np.ndarray, valid: np.ndarray) -> None:
+    """Where the pixels of a row lay in the frame before, with edges repeated: ``places`` (5, w) of pixels, and how far
+    right of the first and down from it, ``shares`` (2, w). ``valid`` is ``keep`` where that lies in the picture."""
+    flat = moved.reshape(moved.size)
+    right, bottom = np.float32(w) - HALF, np.float32(h) - HALF
+    across, last_x, last_y, one = np.int32(w), np.int32(w - 1), np.int32(h - 1), np.int32(1)
+    a, b, c, d, near, tx, ty = places[0], places[1], places[2], places[3], places[NEAR], shares[0], shares[1]
+    for x in range(valid.size):
+        px, py = np.float32(np.int32(left + x)) + flat[2 * x], np.float32(y) + flat[2 * x + 1]
+        held = (px >= -HALF) & (px <= right) & (py >= -HALF) & (py <= bottom)
+        valid[x] = keep[x] if held else ZERO
+        px, py = min(max(px, ZERO), np.float32(last_x)), min(max(py, ZERO), np.float32(last_y))
+        near[x] = np.int32(np.rint(py)) * across + np.int32(np.rint(px))
+        x0, y0 = np.int32(px), np.int32(py)
+        tx[x], ty[x] = px - np.float32(x0), py - np.float32(y0)
+        x1, upper, lower = min(x0 + one, last_x), y0 * across, min(y0 + one, last_y) * across
+        a[x], b[x], c[x], d[x] = upper + x0, upper + x1, lower + x0, lower + x1
+
+
+@fused
+def recall_row(places: np.ndarray, shares: np.ndarray, state: np.ndarray, last_depth: np.ndarray, keep: np.ndarray,
+               gain: Real, before: np.ndarray, valid: np.ndarray, light: np.ndarray, hidden: np.ndarray) -> None:
+    """The state of the frame before along a row, bilinear: ``light`` (w, 4) has the mean colour after an exposure
+    change, and the count, ``hidden`` (w, 8) the rest; ``before`` is the nearest pixel's depth.
+
+    ``keep`` (w,) is how much of the history is used: it scales validity, count and hidden state, not the colour. Where
+    the history lacks a pixel, its count is -1.
+    """
+    flat, depths = state.reshape(state.size), last_depth.reshape(last_depth.size)
+    lights, rest = light.reshape(light.size), hidden.reshape(hidden.size)
+    none = (ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO)
+    pixel, count, behind = np.uint64(STATE), np.uint64(3), np.uint64(4)
+    for x in range(valid.size):
+        before[x], tx, ty = depths[places[NEAR, x]], shares[0, x], shares[1, x]
+        a, b = np.uint64(places[0, x]) * pixel, np.uint64(places[1, x]) * pixel
+        c, d = np.uint64(places[2, x]) * pixel, np.uint64(places[3, x]) * pixel
+        held = valid[x] != ZERO
+        lacks = held and is_unknown(flat[a + count], flat[b + count], flat[c + count], flat[d + count], tx, ty)
+        if lacks or not held:
+            valid[x] = ZERO
+            store_four(lights, 4 * x, (ZERO, ZERO, ZERO, -ONE if lacks else ZERO))
+            store_eight(rest, HIDDEN * x, none)
+            continue
+        found = mix_four(mix_four(load_four(flat, a), load_four(flat, b), tx),
+                         mix_four(load_four(flat, c), load_four(flat, d), tx), ty)
+        store_four(lights, 4 * x, (found[0] * gain, found[1] * gain, found[2] * gain, found[3] * keep[x]))
+        more = mix_eight(mix_eight(load_eight(flat, a + behind), load_eight(flat, b + behind), tx),
+                         mix_eight(load_eight(flat, c + behind), load_eight(flat, d + behind), tx), ty)
+        store_eight(rest, HIDDEN * x, add_eight(none, more, keep[x]))
 
 
 @compiled

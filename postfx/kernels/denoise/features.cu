@@ -120,6 +120,11 @@ __device__ inline float encoded_now(float value, float exposure, float share) {
     return log1p_of(fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure * share, MAX_COLOUR));
 }
 
+// The same of the last output, which is log-encoded; what no frame can hold counts as the brightest.
+__device__ inline float encoded_last(float encoded, float share) {
+    return log_encode(expm1_of(fminf(fmaxf(encoded, 0.0f), MOST_LOG)) * share);
+}
+
 // The change of depth since the frame before.
 __device__ inline float depth_change(float before, float depth) {
     const float ratio = clamped(before, NEAREST, MAX_DEPTH) / fmaxf(depth, NEAREST);
@@ -155,9 +160,8 @@ __device__ inline void prepare_features(View colour, View diffuse_albedo, View s
              encoded_now(now.b, exposure, share.b)});
     put(to + 3, {log_encode(kept.r * memory.valid), log_encode(kept.g * memory.valid),
                  log_encode(kept.b * memory.valid)});
-    put(to + 6, {log_encode(expm1_of(mean.r) * memory.valid * share.r),
-                 log_encode(expm1_of(mean.g) * memory.valid * share.g),
-                 log_encode(expm1_of(mean.b) * memory.valid * share.b)});
+    put(to + 6, {encoded_last(mean.r, memory.valid * share.r), encoded_last(mean.g, memory.valid * share.g),
+                 encoded_last(mean.b, memory.valid * share.b)});
     put_bounded(to + 9, diffuse, 0.0f, 2.0f);
     put_bounded(to + 12, specular, 0.0f, 2.0f);
     put_bounded(to + 15, direction, -1.0f, 1.0f);
@@ -192,6 +196,25 @@ extern "C" __global__ void denoise_features_half(View colour, View diffuse_albed
                                                  View seen_rows, View seen_columns, View past, View features) {
     prepare_features<true>(colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved, state, last_depth,
                            warped, depth_scale, params, window, keep, seen_rows, seen_columns, past, features);
+}
+
+// Planes of what mirrors and glass show: denoising_albedo and denoising_normal (h, w, 3), window (8,), seen_rows (hp,),
+// seen_columns (wp,) -> mirrored (1, 6, hp, wp).
+extern "C" __global__ void denoise_mirrored(View denoising_albedo, View denoising_normal, View window, View seen_rows,
+                                            View seen_columns, View mirrored) {
+    const int height = seen_rows.size[0], width = seen_columns.size[0];
+    PIXEL(width, height);
+    const Window part = window_of(window);
+    const size_t pixel = size_t(part.top + int(seen_rows.at[y])) * part.w + part.left + int(seen_columns.at[x]);
+    const Colour albedo = three(denoising_albedo, pixel), normal = three(denoising_normal, pixel);
+    const size_t plane = size_t(height) * width;
+    float* const to = mirrored.at + size_t(y) * width + x;
+    to[0] = clamped(albedo.r, 0.0f, 1.0f);
+    to[plane] = clamped(albedo.g, 0.0f, 1.0f);
+    to[2 * plane] = clamped(albedo.b, 0.0f, 1.0f);
+    to[3 * plane] = clamped(normal.r, -1.0f, 1.0f);
+    to[4 * plane] = clamped(normal.g, -1.0f, 1.0f);
+    to[5 * plane] = clamped(normal.b, -1.0f, 1.0f);
 }
 
 // The nearest guide pixel at each corner of a render pixel, as the network sees these: guide_diffuse_albedo,

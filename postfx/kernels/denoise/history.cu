@@ -46,9 +46,9 @@ extern "C" __global__ void denoise_resize(View state, View last_depth, View at_r
 // history (height, width, 3), moved (th, tw, 2), params (4,), window (8,), out_rows (out_th,), out_columns (out_tw,)
 // -> warped (out_th, out_tw, 3), log(1 + exposed).
 
-// Log-encoded colour, not below 0, after an exposure change.
+// Log-encoded colour, not below 0, after an exposure change; NaN stays NaN.
 __device__ inline float rescaled(float encoded, float gain) {
-    const float held = fmaxf(encoded, 0.0f);
+    const float held = encoded < 0.0f ? 0.0f : encoded;
     return gain == 1.0f ? held : log1pf(expm1f(held) * gain);
 }
 

@@ -2,6 +2,7 @@
 // pixel that is blended with it keeps its own colour.
 #pragma once
 #include "../number.h"
+#include "denoise.h"
 
 constexpr int CUBIC = 4;
 
@@ -91,7 +92,8 @@ FN Eight warp_two(const Pixels& picture, const Moved<float>& moved, Long start) 
     return zero > found ? zero : found;
 }
 
-// A log-encoded number after an exposure change.
+// A log-encoded number after an exposure change; what no frame can hold stays as it is, and is
+// recognised by that.
 template <class F> FN F rescaled(F encoded, float gain) {
-    return log1p_of<F>(expm1_of<F>(encoded) * gain);
+    return encoded <= MOST_LOG ? log1p_of<F>(expm1_of<F>(encoded) * gain) : encoded;
 }

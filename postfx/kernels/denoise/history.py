@@ -28,32 +28,25 @@ from postfx.kernels.denoise import (
     FARTHEST,
     MAX_COLOUR,
     MAX_FLOAT,
+    MOST_MOTION,
     NEAREST,
     STATE,
     kernel,
 )
-from postfx.kernels.denoise.prepare import finite
 from postfx.kernels.numeric import (
-    Eight,
-    Four,
     Real,
-    add_four,
-    add_sixteen,
-    centre,
     clamp,
     compiled,
-    fused,
-    fused_inline,
     inline,
-    largest_eight,
-    load_four,
-    load_sixteen,
-    store_eight,
-    vectorised,
-    weigh_pixels,
 )
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
+
+
+@inline
+def finite(value: Real) -> Real:
+    """Motion of a pixel; impossible values (NaN, infinity) become 0."""
+    return value if -MOST_MOTION < value < MOST_MOTION else ZERO
 
 
 @compiled
@@ -90,170 +83,6 @@ def resize_rows(y0: int, y1: int, state: np.ndarray, last_depth: np.ndarray, at_
 RESIZE = kernel("resize", ("state", "last_depth", "at_rows", "at_columns"), ("resized", "resized_depth"),
                 resize_rows, ("resized", 0), at_rows=("height",), at_columns=("width",),
                 resized=("height", "width", STATE), resized_depth=("height", "width", 1))
-
-
-@fused_inline
-def cubic(t: Real) -> tuple[Real, Real, Real, Real]:
-    """The four weights of cubic convolution with a = -0.75, the ONNX GridSample and OpenCV default."""
-    a = np.float32(-0.75)
-    u, v, s = t + ONE, ONE - t, np.float32(2) - t
-    return (((a * u - 5 * a) * u + 8 * a) * u - 4 * a, ((a + 2) * t - (a + 3)) * t * t + ONE,
-            ((a + 2) * v - (a + 3)) * v * v + ONE, ((a * s - 5 * a) * s + 8 * a) * s - 4 * a)
-
-
-@vectorised
-def steps(moved: np.ndarray, scale: tuple[Real, Real], shift: np.ndarray, weights: np.ndarray) -> None:
-    """Motion of a row (w, 2) in whole output pixels (2, w), and the weights (2, 4, w) of the cubic taps for the rest of
-    it, both across and down.
-
-    All output pixels in a render pixel share them, for they share its motion.
-    """
-    flat, across, down, right, lower = moved.reshape(moved.size), shift[0], shift[1], weights[0, 0], weights[1, 0]
-    for x in range(across.size):
-        px, py = flat[2 * x] * scale[0], flat[2 * x + 1] * scale[1]
-        left, top = np.floor(px), np.floor(py)
-        across[x], down[x], right[x], lower[x] = np.int32(left), np.int32(top), px - left, py - top
-    for axis in range(2):
-        taps(weights[axis, 0], weights[axis, 1], weights[axis, 2], weights[axis, 3])
-
-
-@vectorised
-def taps(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> None:
-    """Weights of the cubic taps of a row; the first row has the offsets that they are for."""
-    for x in range(a.size):
-        a[x], b[x], c[x], d[x] = cubic(a[x])
-
-
-@fused_inline
-def weigh(a: Four, b: Four, c: Four, d: Four, u: Real, v: Real, w: Real, z: Real) -> Four:
-    """u a + v b + w c + z d."""
-    zero = np.float32(0)
-    return add_four(add_four(add_four(add_four((zero, zero, zero, zero), b, v), a, u), c, w), d, z)
-
-
-@fused_inline
-def down(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real, d3: Real) -> Four:
-    """Weighted sum of four pixels below one another in a flat picture, and of the number behind each; unsigned places
-    need no check for below 0."""
-    second, third = start + line, start + line + line
-    return weigh(load_four(flat, start), load_four(flat, second), load_four(flat, third),
-                 load_four(flat, third + line), d0, d1, d2, d3)
-
-
-@fused_inline
-def down_last(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real, d3: Real) -> Four:
-    """The same of pixels behind which there may be nothing."""
-    _, r, g, b = down(flat, start - np.uint64(1), line, d0, d1, d2, d3)
-    return r, g, b, b
-
-
-@fused_inline
-def columns_of(flat: np.ndarray, start: int, line: int, d0: Real, d1: Real, d2: Real,
-               d3: Real) -> tuple[Four, Four, Four, Four]:
-    """Weighted sums down four columns of pixels, from a place on."""
-    step = np.uint64(3)
-    return (down(flat, start, line, d0, d1, d2, d3), down(flat, start + step, line, d0, d1, d2, d3),
-            down(flat, start + step + step, line, d0, d1, d2, d3),
-            down_last(flat, start + step + step + step, line, d0, d1, d2, d3))
-
-
-@fused
-def edge_pixel(left: int, top: int, history: np.ndarray, at: int, wx: np.ndarray, wy: np.ndarray,
-               pixel: np.ndarray) -> None:
-    """One pixel near the picture's edge, which is repeated."""
-    height, width = history.shape[:2]
-    pixel[:] = ZERO
-    for j in range(4):
-        for i in range(4):
-            weight = wy[j, at] * wx[i, at]
-            found = history[min(max(top + j, 0), height - 1), min(max(left + i, 0), width - 1)]
-            for c in range(3):
-                pixel[c] += weight * found[c]
-
-
-NOWHERE = np.int32(-(2**30))
-"""Column of what is not made with others."""
-
-
-@compiled
-def runs_of(columns: np.ndarray, size: int, out_size: int, left: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the output pixels of each of a part's ``count`` render pixels begin in a row, and after the last one's end
-    (count + 1,); and the first column of those that are made at once, else NOWHERE: of up to three beside each other,
-    from which eight numbers lie in the row."""
-    begin, first = np.zeros(count + 1, np.int64), np.full(count, NOWHERE, np.int32)
-    for x in range(columns.size):
-        at, _ = centre(columns[x], size, out_size)
-        begin[min(max(at - left, 0), count - 1) + 1] += 1
-    for at in range(count):
-        begin[at + 1] += begin[at]
-        x, last = begin[at], begin[at + 1] - 1
-        if x <= last <= x + 2 and columns[last] - columns[x] == last - x and x + 2 < columns.size:
-            first[at] = columns[x]
-    return begin, first
-
-
-@compiled
-def find_starts(y: int, height: int, width: int, first: np.ndarray, shift: np.ndarray, starts: np.ndarray) -> None:
-    """The first number of the taps of a row's pixels in a picture, -1 of those that are made one by one."""
-    across, down, one, three = shift[0], shift[1], np.int32(1), np.int32(3)
-    right, bottom, line, row = np.int32(width - 8), np.int32(height - 4), np.int32(3 * width), np.int32(y - 1)
-    for x in range(starts.size):
-        left, top = first[x] + across[x] - one, row + down[x]
-        inside = (left >= 0) & (left <= right) & (top >= 0) & (top <= bottom)
-        starts[x] = np.int32(top * line + left * three) if inside else -one
-
-
-@fused_inline
-def warp_two(flat: np.ndarray, line: int, start: int, weights: np.ndarray, at: int) -> Eight:
-    """Two neighbours in the render pixel ``at``, whose motion they share, and two numbers: taps begin at ``start``."""
-    eight, second, third = (ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO), start + line, start + line + line
-    total = add_sixteen(eight + eight, load_sixteen(flat, second), weights[1, 1, at])
-    total = add_sixteen(total, load_sixteen(flat, start), weights[1, 0, at])
-    total = add_sixteen(total, load_sixteen(flat, third), weights[1, 2, at])
-    total = add_sixteen(total, load_sixteen(flat, third + line), weights[1, 3, at])
-    return largest_eight(eight, weigh_pixels(total, weights[0, 0, at], weights[0, 1, at], weights[0, 2, at],
-                                             weights[0, 3, at]))
-
-
-@fused
-def warp_most(begin: np.ndarray, starts: np.ndarray, history: np.ndarray, weights: np.ndarray, row: np.ndarray,
-              others: np.ndarray) -> int:
-    """The pixels of a row that are not near the picture's edges; ``others`` are the render pixels of those that are
-    left, and their count is the result. What is written behind a render pixel's own is written again."""
-    flat, line, left, most = history.reshape(history.size), np.uint64(3 * history.shape[1]), 0, 0
-    for at in range(starts.size):
-        if starts[at] < 0:
-            others[left] = at
-            left += 1
-            continue
-        store_eight(row, np.uint64(begin[at]) * np.uint64(3), warp_two(flat, line, np.uint64(starts[at]), weights, at))
-        most = max(most, begin[at + 1] - begin[at])
-    for at in range(starts.size if most > 2 else 0):
-        if starts[at] >= 0 and begin[at + 1] - begin[at] > 2:
-            third = row[3 * begin[at] + 6:3 * begin[at] + 9]
-            third[0], third[1], third[2], _, _, _, _, _ = warp_two(flat, line, np.uint64(starts[at] + 6), weights, at)
-    return left
-
-
-@fused
-def warp_row(y: int, columns: np.ndarray, begin: np.ndarray, starts: np.ndarray, history: np.ndarray,
-             shift: np.ndarray, weights: np.ndarray, others: np.ndarray, row: np.ndarray) -> None:
-    """Row ``y`` of a picture (height, width, 3) moved, at ``columns``, flat; cubic interpolation never makes it
-    negative."""
-    height, width = history.shape[:2]
-    flat, line, wx, wy = history.reshape(history.size), np.uint64(3 * width), weights[0], weights[1]
-    for i in range(warp_most(begin, starts, history, weights, row, others)):
-        at = others[i]
-        for x in range(begin[at], begin[at + 1]):
-            left, top, pixel = columns[x] + shift[0, at] - 1, y + shift[1, at] - 1, row[3 * x:3 * x + 3]
-            if 0 <= left <= width - 4 and 0 <= top <= height - 4:
-                a, b, c, d = columns_of(flat, np.uint64((top * width + left) * 3), line, wy[0, at], wy[1, at],
-                                        wy[2, at], wy[3, at])
-                pixel[0], pixel[1], pixel[2], _ = weigh(a, b, c, d, wx[0, at], wx[1, at], wx[2, at], wx[3, at])
-            else:
-                edge_pixel(left, top, history, at, wx, wy, pixel)
-            for c in range(3):
-                pixel[c] = max(pixel[c], ZERO)
 
 
 HISTORY = replace(kernel("history", ("history", "moved", "params", "window", "out_rows", "out_columns"), ("warped",),

@@ -24,6 +24,39 @@ static void open_phased_rows(Long first, Long last, View<const float, 4> phased,
 }
 EXPORT(denoise_open_phased, open_phased_rows)
 
+// Of a fine head at the render size.
+static void open_logits_rows(Long first, Long last, View<const float, 4> logits, Heads fine) {
+    for (Long channel = 0; channel < FINE; channel++) {
+        for (Long y = first; y < last; y++) {
+            const float* from = logits(0, channel, y);
+            float* out = fine(0, channel, y);
+            with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
+                across(0, fine.size[3], PIXELS(auto one, Long x) {
+                    typedef decltype(one) F;
+                    const F logit = within<F>(known<F>(load<F>(from + x)), -STEEPEST, STEEPEST);
+                    store<F>(out + x, opened<F, meaning.is>(logit));
+                });
+            });
+        }
+    }
+}
+EXPORT(denoise_open_logits, open_logits_rows)
+
+// The expected squared error of a part's pixels; of one that is unknown, the largest.
+static void open_error_rows(Long first, Long last, View<const float, 4> log_error, Places, Places,
+                            View<float, 3> error) {
+    for (Long y = first; y < last; y++) {
+        const float* from = log_error(0, 0, y);
+        float* to = error(y);
+        across(0, error.size[1], PIXELS(auto one, Long x) {
+            typedef decltype(one) F;
+            const F log = known<F>(load<F>(from + x));
+            store<F>(to + x, exp_of<F>(within<F>(log, LEAST_LOG_ERROR, MOST_LOG_ERROR)));
+        });
+    }
+}
+EXPORT(denoise_open_error, open_error_rows)
+
 static void open_channels(Long first, Long last, const Products& products, const Scaling& scaling,
                           Long begin, const Heads& fine) {
     for (Long k = 0; k < fine.size[1]; k++) {

@@ -11,14 +11,14 @@ FN Meaning fine_meaning(Long channel) {
 }
 FN Meaning level_meaning(Long channel) { return channel < KERNEL ? WEIGHT : GATE; }
 
-// A logit that is NaN gives the least weight, and gates and states near an end.
+// NaN stays NaN: what the network made of a broken history is not taken for an answer.
 template <class F, Meaning MEANING> FN F opened(F logit) {
     if constexpr (MEANING == WEIGHT) {
-        return exp_of<F>(within<F>(logit, -STEEPEST, STEEPEST));
+        return exp_of<F>(bounded<F>(logit, -STEEPEST, STEEPEST));
     } else if constexpr (MEANING == GATE) {
-        return 1.0f / (1.0f + exp_of<F>(within<F>(-logit, -80.0f, 80.0f)));
+        return 1.0f / (1.0f + exp_of<F>(bounded<F>(-logit, -80.0f, 80.0f)));
     } else {
-        return 1.0f - 2.0f / (1.0f + exp_of<F>(within<F>(2.0f * logit, -80.0f, 80.0f)));
+        return 1.0f - 2.0f / (1.0f + exp_of<F>(bounded<F>(2.0f * logit, -80.0f, 80.0f)));
     }
 }
 

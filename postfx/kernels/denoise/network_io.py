@@ -10,6 +10,9 @@ Float32: activations of the fine head, and its four phases moved to their places
 wp / 2) is the output of the last convolution: for each channel the four phases of 2x2 pixels, top left first. One pass
 takes less time than activations and a shuffle inside the network, each of which reads and writes 160 MB at 960x540.
 
+Where a network's last level has the render size, ``fine_logits`` (1, 80, hp, wp) are its fine head before the
+activations, and ``log_error`` (1, 1, hp, wp) is the logarithm of each pixel's expected squared error.
+
 Integers, output: the last products are summed in 32 bits and scaled here. ``products`` are sums of 8-bit products;
 ``scaling`` (2, C) holds a factor and an offset for each channel, which give its logit. Scaling and activations are one
 pass. Each channel of the fine head has four phases, as above.
@@ -30,7 +33,6 @@ import numpy as np
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, STEEPEST, in_half, kernel
 from postfx.kernels.library import Rows
-from postfx.kernels.numeric import Real, compiled, inline, vectorised
 
 LANES = 8
 LEVEL = KERNEL + 1
@@ -101,6 +103,18 @@ OPEN_PHASED = kernel("open_phased", ("phased_fine",), ("fine",), None, ("fine", 
                      phased_fine=(1, 4 * FINE, "half_hp", "half_wp"), fine=(1, FINE, "2*half_hp", "2*half_wp"))
 
 
+OPEN_LOGITS = kernel("open_logits", ("fine_logits",), ("fine",), None, ("fine", 2), fine_logits=(1, FINE, "hp", "wp"))
+
+
+LEAST_LOG_ERROR = -14.0
+"""Logarithm of the least squared error that networks predict."""
+MOST_LOG_ERROR = 0.0
+"""Logarithm of the largest one."""
+
+OPEN_ERROR = kernel("open_error", ("log_error", "part_rows", "part_columns"), ("error",), None, ("error", 0),
+                    log_error=(1, 1, "hp", "wp"), error=("th", "tw", 1))
+
+
 OPEN_PRODUCTS = Kernel(
     "denoise_open_products", ("products", "scaling"), ("heads",), Rows("denoise_open_products"), ("heads", 2),
     {"products": (1, "heads", "hp", "wp"), "scaling": (2, "heads"), "heads": (1, "heads", "hp", "wp")},
@@ -129,90 +143,8 @@ OPEN_FINE_CODES = kernel("open_fine_codes", ("codes", "factors", "scaling"), ("f
                          ("fine", 2), fine=(1, "channels", "half_hp", 2, "2*half_wp"))
 
 
-DARKEST_BYTE, BRIGHTEST_BYTE, ROUNDING = np.float32(0), np.float32(255), np.float32(0.5)
-WORD = 4
-"""Codes that are put together as one number of 32 bits, the first in its lowest bits."""
-
-
-@inline
-def code(value: Real, scale: Real, zero: Real) -> Real:
-    """8-bit code of a number; NaN gets the code of zero."""
-    known = value * scale if value == value else DARKEST_BYTE
-    return np.int32(min(max(known + zero + ROUNDING, DARKEST_BYTE), BRIGHTEST_BYTE))
-
-
-@compiled
-def code_four(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, first: int, coding: np.ndarray,
-              words: np.ndarray) -> None:
-    """Codes of rows of the four channels from the ``first`` on, as words."""
-    s0, s1, s2, s3 = coding[0, first], coding[0, first + 1], coding[0, first + 2], coding[0, first + 3]
-    z0, z1, z2, z3 = coding[1, first], coding[1, first + 1], coding[1, first + 2], coding[1, first + 3]
-    for x in range(words.size):
-        low = code(a[x], s0, z0) | (code(b[x], s1, z1) << np.int32(8))
-        words[x] = low | (code(c[x], s2, z2) << np.int32(16)) | (code(d[x], s3, z3) << np.int32(24))
-
-
-@compiled
-def code_row(values: np.ndarray, codings: np.ndarray, codes: np.ndarray) -> None:
-    """8-bit codes of numbers, each with its own coding."""
-    scales, zeros = codings[0], codings[1]
-    for i in range(codes.size):
-        codes[i] = np.uint8(code(values[i], scales[i], zeros[i]))
-
-
-@compiled
-def join_words(pairs: np.ndarray, last: int, words: np.ndarray) -> None:
-    """Put the eight codes of each pixel in ``pairs`` (2 w) behind the three in the first of ``words`` (3, w), and the
-    ``last`` code behind those."""
-    a, b, c, low, rest, high = words[0], words[1], words[2], np.int32(0xFFFFFF), np.int32(8), np.int32(24)
-    for x in range(a.size):
-        first, second = pairs[2 * x], pairs[2 * x + 1]
-        a[x] = (a[x] & low) | (first << high)
-        b[x] = ((first >> rest) & low) | (second << high)
-        c[x] = ((second >> rest) & low) | (last << high)
-
-
-@vectorised
-def place_words(words: np.ndarray, pixels: np.ndarray) -> None:
-    """(C / 4, w) -> the first of (w, C / 4)."""
-    for x in range(words.shape[1]):
-        for k in range(words.shape[0]):
-            pixels[x, k] = words[k, x]
-
-
-@compiled
-def zero_words(coding: np.ndarray, pixels: np.ndarray) -> None:
-    """Codes of zero for all channels of pixels (w, C / 4)."""
-    for k in range(pixels.shape[1]):
-        word = np.int32(0)
-        for i in range(WORD):
-            word |= np.int32(coding[1, WORD * k + i]) << np.int32(8 * i)
-        for x in range(pixels.shape[0]):
-            pixels[x, k] = word
-
-
-@compiled
-def store_rows(y0: int, y1: int, planes: np.ndarray, coding: np.ndarray, stored: np.ndarray) -> None:
-    """Codes of the planes, with a border of codes of zero."""
-    _, channels, h, w = planes.shape
-    ring, words = (stored.shape[1] - h) // 2, np.empty((stored.shape[3] // WORD, w), np.int32)
-    nothing = np.zeros(w, np.float32)
-    for row in range(y0, y1):
-        y, pixels = row - ring, stored[0, row].view(np.int32)
-        if ring or not 0 <= y < h:
-            zero_words(coding, pixels)
-        if 0 <= y < h:
-            for k in range(words.shape[0]):
-                c = WORD * k
-                code_four(planes[0, c, y] if c < channels else nothing,
-                          planes[0, c + 1, y] if c + 1 < channels else nothing,
-                          planes[0, c + 2, y] if c + 2 < channels else nothing,
-                          planes[0, c + 3, y] if c + 3 < channels else nothing, c, coding, words[k])
-            place_words(words, pixels[ring:])
-
-
 def _kernel(name: str, rows: str, columns: str) -> Kernel:
-    return Kernel(name, ("planes", "coding"), ("stored",), store_rows, ("stored", 1),
+    return Kernel(name, ("planes", "coding"), ("stored",), Rows(name), ("stored", 1),
                   {"planes": (1, "channels", "hp", "wp"), "coding": (2, "wide"), "stored": (1, rows, columns, "wide")},
                   {"stored": "uint8"})
 

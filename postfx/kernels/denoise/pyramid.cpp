@@ -3,7 +3,6 @@
 #include "fine_codes.h"
 #include "pyramid.h"
 
-typedef View<const float, 1> Places;
 typedef View<const float, 3> Planes;
 typedef View<float, 3> NewPlanes;
 

@@ -1,18 +1,12 @@
 // Rows of the enlargement. Its six kernels differ in where the head comes from and in what reflectance
 // radiance is multiplied by.
-#include "upsample.h"
+#include "upsample_rows.h"
 #include "fine_codes.h"
+#include "tints.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-typedef View<const float, 4> FineHead;
-
-// What all six read and write; `radiance` has the planes that are looked at.
-struct Upsample {
-    Picture radiance, moved, past, warped;
-    Params params;
-    Window window;
-    Picture keep;
+// What all six read and write.
+struct Upsample : Samples {
+    Picture warped;
     NewPicture output, history;
 };
 struct Guides {
@@ -36,7 +30,7 @@ struct Heads {
     explicit operator bool() const { return bool(turned) && bool(made); }
 
     Head row(Long y) const {
-        if (codes.at == nullptr) return {fine(0, 0, y), fine.size[2] * fine.size[3]};
+        if (codes.at == nullptr) return head_of(fine, y);
         const Long w = 2 * codes.size[2];
         if (pair != y / 2) {
             pair = y / 2;
@@ -45,25 +39,6 @@ struct Heads {
         }
         return {made.at + y % 2 * w, 2 * w};
     }
-};
-
-// Memory: a row of colours and their trust, of guides, of shares; and of columns at any scale.
-struct Rooms {
-    Long width, columns;
-    Room<float> floats;
-    Room<int> index;
-
-    Rooms(Long width, Long columns)
-        : width(width), columns(columns), floats(17 * width + columns), index(width) {}
-    explicit operator bool() const { return bool(floats) && bool(index); }
-    float* rgb(int c) const { return floats.at + c * width; }
-    float* trust() const { return floats.at + 3 * width; }
-    float* guide(int c) const { return floats.at + (4 + c) * width; }
-    float* lean() const { return floats.at + 8 * width; }
-    float* near() const { return floats.at + 9 * width; }
-    float* wide() const { return floats.at + 12 * width; }
-    float* place() const { return floats.at + 15 * width; }
-    float* share() const { return floats.at + 16 * width; }
 };
 
 // Where a pixel's centre lies among the cells of `size` render pixels, from centre to centre.
@@ -90,15 +65,7 @@ static void fill_trust(const Picture& cells, float place, const float* places, L
 static void fill_guides(const Guides& guides, Long y, Long left, const Rooms& rooms) {
     const Long held = smaller<Long>(rooms.width, guides.diffuse.size[1] - left);
     const float *some = guides.diffuse(y, left), *others = guides.specular(y, left);
-    across(0, held, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
-        const Tint<F> found = tinted<F>(pick<F, 3>(some + 3 * x) + pick<F, 3>(others + 3 * x),
-                                        pick<F, 3>(some + 3 * x + 1) + pick<F, 3>(others + 3 * x + 1),
-                                        pick<F, 3>(some + 3 * x + 2) + pick<F, 3>(others + 3 * x + 2));
-        store<F>(rooms.guide(0) + x, found.red);
-        store<F>(rooms.guide(1) + x, found.green);
-        store<F>(rooms.guide(2) + x, found.blue);
-    });
+    fill_tints(some, others, held, rooms.guide(0), rooms.guide(1), rooms.guide(2));
     for (int c = 0; c < 3; c++) {
         for (Long x = held; x < rooms.width; x++) rooms.guide(c)[x] = rooms.guide(c)[held - 1];
     }
@@ -168,44 +135,15 @@ template <Reflectance BY, class Fill>
 FN Status upsample_rows(Long first, Long last, const Upsample& given, const Heads& heads,
                         const Rooms& rooms, const Fill& fill) {
     const Window& window = given.window;
-    const Long h = given.moved.size[0], w = rooms.columns, width = rooms.width;
-    const bool doubles = window.doubles() && width == 2 * w;
-    const bool same = window.keeps_size() && width == w;
-    for (Long x = 0; x < width; x++) {
-        const Place at = column_of(window, x, w);
-        const Distances distances = distances_of(given.params.jitter_x - at.offset);
-        rooms.index.at[x] = int(at.index);
-        rooms.lean()[x] = lean_of(at.offset);
-        for (int i = 0; i < 3; i++) {
-            rooms.near()[i * width + x] = distances.near[i];
-            rooms.wide()[i * width + x] = distances.wide[i];
-        }
-    }
-    const float scale_x = window.out_width / window.width, scale_y = window.out_height / window.height;
+    const Long h = given.moved.size[0];
+    const bool doubles = given.doubles(rooms.width), same = given.keeps_size(rooms.width);
+    fill_columns(given, rooms);
     for (Long n = first; n < last; n++) {
         const Long y = smaller<Long>(Long(window.out_top) + n, Long(window.out_height) - 1);
         const Place at = row_of(window, n, h);
-        const Long iy = at.index;
         const Distances down = distances_of(given.params.jitter_y - at.offset);
-        const float* kept = given.keep(clip(iy, given.keep.size[0]));
-        for (Long x = 0; x < w; x++) rooms.share()[x] = kept[clip(x, given.keep.size[1])];
         fill(y, at);
-        const Row row = {
-            .head = heads.row(iy),
-            .radiance = given.radiance(0, iy),
-            .plane = given.radiance.size[1] * given.radiance.size[2],
-            .line = given.radiance.size[2],
-            .moved = given.moved(iy),
-            .past = given.past(iy),
-            .share = rooms.share(),
-            .guide = {rooms.guide(0), rooms.guide(1), rooms.guide(2), rooms.guide(3)},
-            .left = Long(window.out_left),
-            .y = float(y),
-            .right = window.out_width - 0.5f,
-            .bottom = window.out_height - 0.5f,
-            .across = scale_x,
-            .down = scale_y,
-        };
+        const Row row = row_of_samples(given, rooms, heads.row(at.index), y, at.index);
         if (BY != OWN && doubles) {
             const Weights sides[2] = {
                 weights_of(down, distances_of(given.params.jitter_x + 0.25f)),
@@ -268,7 +206,7 @@ static Status unscaled_rows(Long first, Long last, Upsample given, const Picture
 
 #define LAST Given<Params> params, Given<Window> window, Picture keep, NewPicture output, NewPicture history
 #define BETWEEN Picture moved, Picture past, Picture warped
-#define GIVEN {radiance, moved, past, warped, *params, *window, keep, output, history}
+#define GIVEN {{radiance, moved, past, *params, *window, keep}, warped, output, history}
 
 static Status plain(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, LAST) {
     return plain_rows(first, last, GIVEN, Heads(fine));

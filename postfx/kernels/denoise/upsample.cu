@@ -329,7 +329,8 @@ extern "C" __global__ void denoise_upsample_unscaled_half(View radiance, View fi
 // radiance (3 n, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2), past (th, tw, 4), last (n, height, width, 3),
 // params (4,), window (8,), keep, out_rows (out_th,), out_columns (out_tw,) -> light (n, out_th, out_tw, 3).
 __device__ inline float blended_light(float current, float kept, float before, float darken) {
-    const float now = current <= MAX_FLOAT ? current * darken : 0.0f, mixed = now + (fmaxf(before, 0.0f) - now) * kept;
+    const float now = current <= MAX_FLOAT ? current * darken : 0.0f, held = before < 0.0f ? 0.0f : before;
+    const float mixed = now + (held - now) * kept;  // NaN, which is not below 0, is recognised
     return mixed <= MAX_FLOAT ? fmaxf(mixed, 0.0f) : now;
 }
 

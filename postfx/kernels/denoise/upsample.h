@@ -205,3 +205,34 @@ template <class F> FN F blended(F current, F warped, F trust) {
     const F mixed = now + (warped - now) * trust;
     return mixed <= MOST_LOG ? larger<F>(mixed, zero) : now;
 }
+
+// Light, which is not encoded: a sum of parts is enlarged and blended as the parts are.
+
+template <class F> struct LightWeights {
+    F taps[TAPS], total;
+};
+template <class F, class At> FN LightWeights<F> light_weights(const At& at) {
+    LightWeights<F> found;
+    found.total = F(TINY);
+    UNROLL for (int k = 0; k < TAPS; k++) {
+        found.taps[k] = at.template predicted<F>(TAP_WEIGHTS + 4 * k) * at.template near<F>(k);
+        found.total += found.taps[k];
+    }
+    return found;
+}
+
+template <class F, class At>
+FN F light_sample(const Row& row, const At& at, const LightWeights<F>& weights, Long channel) {
+    F sum = F(0.0f);
+    UNROLL for (int k = 0; k < TAPS; k++) {
+        const float* from = row.radiance + channel * row.plane + k / 3 * row.line + k % 3;
+        sum += weights.taps[k] * at.template sample<F>(from);
+    }
+    return sum / weights.total;
+}
+
+template <class F> FN F blended_light(F current, F warped, F trust, float darken) {
+    const F zero = F(0.0f), now = current <= MAX_FLOAT ? current * darken : zero;
+    const F mixed = now + (larger<F>(zero, warped) - now) * trust;
+    return mixed <= MAX_FLOAT ? larger<F>(mixed, zero) : now;
+}

@@ -21,11 +21,8 @@ from postfx.kernels.denoise import (
 )
 from postfx.kernels.numeric import (
     Real,
-    between,
     centre,
-    compiled,
     inline,
-    vectorised,
 )
 
 SIGMA = 0.5
@@ -58,59 +55,6 @@ def pixel_of(position: int, side: int, window: np.ndarray, size: int) -> tuple[i
 def is_doubled(window: np.ndarray) -> bool:
     """Whether the output has twice the frame's rows and columns."""
     return bool(window[OUT_WIDTH] == 2 * window[WIDTH] and window[OUT_HEIGHT] == 2 * window[HEIGHT])
-
-
-@inline
-def is_inside(px: Real, py: Real, width: Real, height: Real) -> Real:
-    """Whether a position lies in a picture."""
-    return -HALF <= px <= np.float32(width) - HALF and -HALF <= py <= np.float32(height) - HALF
-
-
-@vectorised
-def lean_on(corners: np.ndarray, index: np.ndarray, leans: np.ndarray, out: np.ndarray) -> None:
-    """Linear interpolation between the left and right corners of the pixels at ``index``."""
-    for x in range(index.size):
-        at = index[x]
-        out[x] = corners[0, at] + (corners[1, at] - corners[0, at]) * leans[x]
-
-
-@compiled
-def trust_side(first: int, y: Real, size: tuple[int, int], moved: np.ndarray, past: np.ndarray,
-               scale: tuple[Real, Real], share: np.ndarray, trust: np.ndarray) -> None:
-    """At scale 2, how much of the history each output pixel on one side of the render pixels keeps, from ``first`` on.
-
-    ``share`` is how much each render pixel may keep, ``trust`` the predicted blend at first; nothing is kept where the
-    pixel lay beyond the border, or where the history does not hold it. Flat arrays, numbers of 32 bits and tests
-    without jumps become vector code.
-    """
-    flat, held_count, (across, down) = moved.reshape(moved.size), past.reshape(past.size), scale
-    right, bottom = np.float32(size[0]) - HALF, np.float32(size[1]) - HALF
-    for x in range(trust.size):
-        px, py = np.float32(np.int32(2 * x + first)) + flat[2 * x] * across, y + flat[2 * x + 1] * down
-        inside = (px >= -HALF) & (px <= right) & (py >= -HALF) & (py <= bottom) & (held_count[4 * x + 3] >= ZERO)
-        kept = share[x] * (ONE - trust[x])
-        trust[x] = kept if inside else ZERO
-
-
-@compiled
-def trust_picked(left: int, y: Real, size: tuple[int, int], moved: np.ndarray, past: np.ndarray,
-                 scale: tuple[Real, Real], share: np.ndarray, index: np.ndarray, blend: np.ndarray,
-                 trust: np.ndarray) -> None:
-    """The same for a row at any scale, three times a pixel."""
-    for x in range(index.size):
-        at = index[x]
-        px, py = np.float32(left + x) + moved[at, 0] * scale[0], y + moved[at, 1] * scale[1]
-        inside = is_inside(px, py, size[0], size[1]) and past[at, 3] >= ZERO
-        trust[3 * x] = trust[3 * x + 1] = trust[3 * x + 2] = share[at] * (ONE - blend[x]) if inside else ZERO
-
-
-@compiled
-def control_row(first: int, iy: int, ty: Real, fine: np.ndarray, index: np.ndarray, leans: np.ndarray,
-                corners: np.ndarray, out: np.ndarray) -> None:
-    """A control that is predicted at four phases, for a row at any scale."""
-    for side in range(2):
-        between(fine[0, first + side, iy], fine[0, first + 2 + side, iy], ty, np.float32(1), corners[side])
-    lean_on(corners, index, leans, out)
 
 
 WRITES = ("output", "next_history")

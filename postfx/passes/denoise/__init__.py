@@ -31,14 +31,17 @@ from postfx.passes.denoise.models import (
     has_model,
     model_of,
     name_models,
+    predicts_error,
+    reads_mirrored,
     short_tag,
     unscaled_remarks,
     validate_tag,
 )
 from postfx.passes.denoise.options import Size, output_size, parse_reactive, validate_scale, validate_size
 from postfx.passes.denoise.parts import checked_parts
-from postfx.passes.denoise.planes import ABSENT, passthrough_roles
+from postfx.passes.denoise.planes import ABSENT, MIRRORED, passthrough_roles
 from postfx.passes.denoise.tiling import Sizes, active_cells
+from postfx.repeats import ONE_SEED, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
 PLANES = tuple(ABSENT)
@@ -50,8 +53,12 @@ PART_FILTERS = "picture", "own"
 """Values of the option `part_filters`: whose filters parts get."""
 NETWORK = "network "
 """In a history, the name of the network's entry ends in the network's tag."""
+LARGEST = "l"
+"""Tag of the largest network that comes with postfx."""
 WIDER = "wider primaries"
 """In a history, whether its light is in wider primaries than the frames'."""
+REPEATS = "repeats "
+"""In a history, names of what noise that repeats is found by begin so."""
 
 
 class DenoiseUpscale(Pass):
@@ -79,6 +86,8 @@ class DenoiseUpscale(Pass):
         part_filters: 'picture' filters parts like the picture; 'own' runs the network on each part that is light,
             which takes as long as the picture for each.
         alpha: whether alpha is denoised with the picture, where it is neither 0 nor 1; else it is only resampled.
+        error: whether to add the plane `error`: the squared error that the network expects of each pixel of the
+            denoised colour, in code values of a display (x / (1 + x) of exposed light, sRGB); 0 where no network ran.
         reactive: where the history is not used, for things that move without motion vectors, such as particles:
             'plane', the plane `reactive`; 'difference', where colour differs from the plane `opaque_colour`; 'auto',
             the first of the two that the frame has; 'none'. scale= and threshold= may follow, as in
@@ -91,11 +100,12 @@ class DenoiseUpscale(Pass):
     to the pass `both_ways`, and the plane `partner`, resampled, to the pass `mix_partner`.
 
     A frame's guides, planes at output size, make edges exact: ``denoise_upscale.<tag>.guides`` reads them. At render
-    size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone.
+    size ``denoise_upscale.<tag>.1x`` runs if it exists. Without a motion plane every frame stands alone, and so does
+    one with the noise of the frame before, as with one seed for all: a history would take the noise for detail.
 
     Raises PassOptionError for a scale outside 1 to 3, a scale beside a size, a strength outside 0 to 1, a budget that
-    is not above 0 and a model that is chosen automatically, FrameError for a frame whose output would not be 1 to 3
-    times as large, GuideError for guides of another size than the output's.
+    is not above 0, a model that is chosen automatically and an error that no network predicts, FrameError for a frame
+    whose output would not be 1 to 3 times as large, GuideError for guides of another size than the output's.
     """
 
     name: ClassVar[str] = "denoise_upscale"
@@ -103,9 +113,9 @@ class DenoiseUpscale(Pass):
     def __init__(self, *, scale: float | None = None, size: Sequence[int] | None = None, model: str = "m",
                  strength: float = 1.0, budget: float | None = None, reactive: str = "auto",
                  parts: Sequence[Part | str] = (), part_filters: str = "picture", alpha: bool = True,
-                 library: Library | str | Path | None = None, **unknown: Never) -> None:
+                 error: bool = False, library: Library | str | Path | None = None, **unknown: Never) -> None:
         super().__init__(scale=scale, size=size, model=model, strength=strength, budget=budget, reactive=reactive,
-                         parts=parts, part_filters=part_filters, alpha=alpha, library=library, **unknown)
+                         parts=parts, part_filters=part_filters, alpha=alpha, error=error, library=library, **unknown)
         self.scale = validate_scale(scale)
         self.size = validate_size(size, self.scale)
         self.strength = float(strength)
@@ -115,13 +125,15 @@ class DenoiseUpscale(Pass):
         if self.budget is not None and not self.budget > 0:
             raise PassOptionError(f"pass '{self.name}' cannot work in {self.budget:g} ms: give a budget above 0")
         self._mask = parse_reactive(str(reactive))
-        self._parts, self._alpha = checked_parts(parts), bool(alpha)
+        self._parts, self._alpha, self._error = checked_parts(parts), bool(alpha), bool(error)
         if part_filters not in PART_FILTERS:
             raise PassOptionError(f"pass '{self.name}' has no part filters '{part_filters}': give "
                                   f"{' or '.join(PART_FILTERS)}")
         self._own = [part.name for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
         self._used: str | None = None
-        self._cameras = Cameras()
+        self._cameras, self._repeats = Cameras(), RepeatDetector()
+        self._notice: str | None = None
+        self._has_told = False
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
         asked = validate_tag(str(model), own)
         self._tag = CLASSIC if self._falls_back(asked) else asked
@@ -138,17 +150,20 @@ class DenoiseUpscale(Pass):
     def reflect(self, spec: FrameSpec) -> Reflection:
         carried = passthrough_roles(spec)
         size = self._output_size(spec)
-        output = FrameSpec(size.width, size.height, (Role.COLOUR, *carried))
+        self._check_error(spec)
+        written = (Role.COLOUR, *carried, *(Role.ERROR,) * self._error)
+        output = FrameSpec(size.width, size.height, written)
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
         guides = GUIDE_ROLES if self._reads_guides(spec) else lost
         planes = (*PLANES, Role.STRENGTH, *self._reactive_planes(spec)) if self.strength else ()
+        planes += tuple(MIRRORED) if planes and self._reads_mirrored(spec) else ()
         planes += (Role.SPECULAR_HIT_DISTANCE,) if planes and can_follow(spec) else ()
         demanded = self._mask.demands() if self.strength else ()
         kept = [role for role in carried if role not in spec.guide_roles]
         guides = (*(guides if self.strength else ()), *(role for role in carried if role in spec.guide_roles))
         optional = tuple(dict.fromkeys((*planes, *kept)))
-        return Reflection(reads=(Role.COLOUR, *demanded), may_read=optional, writes=(Role.COLOUR, *carried),
-                          output=output, may_read_guides=guides, notes=self._notes(spec), parts=self._read_parts(spec))
+        return Reflection(reads=(Role.COLOUR, *demanded), may_read=optional, writes=written, output=output,
+                          may_read_guides=guides, notes=self._notes(spec), parts=self._read_parts(spec))
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         if not self.strength:
@@ -180,7 +195,7 @@ class DenoiseUpscale(Pass):
             self._ladder = Ladder(costs, self.budget, first) if self.budget else None
             if self.size:  # so that files of a frame are the same wherever a run begins
                 endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
-                tags = self._tags_for(spec)
+                tags = self._tags_for(spec, device.runs_rows)
                 name_models(device, (model_of(tag, ending, device) for tag in tags for ending in endings))
             reactive = self._mask.role(spec) is not None
             sizes = Sizes(spec.height, spec.width, *size)
@@ -213,12 +228,12 @@ class DenoiseUpscale(Pass):
             return ReadyPlain(self._device, spec, size, self._parts)
         models, guided = self._models(spec), self._is_guided(spec)
         return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask,
-                            self._parts, self._alpha, self._part_history)
+                            self._parts, self._alpha, self._part_history, self._error)
 
-    def _tags_for(self, spec: FrameSpec) -> tuple[str, ...]:
+    def _tags_for(self, spec: FrameSpec, runs_rows: bool = True) -> tuple[str, ...]:
         """Tags to choose from for frames of a spec, fastest first; one without a budget."""
         smaller = family(self._tag)[:-1] if self.budget else ()
-        if self._parts or not self._device.runs_rows:  # it filters no parts, and has no other form
+        if self._parts or self._error or not runs_rows:  # it filters no parts, and has no other form
             smaller = tuple(tag for tag in smaller if tag != CLASSIC)
         return (*(tag for tag in smaller if has_model(model_of(tag, self._ending(spec)))), self._tag)
 
@@ -227,7 +242,7 @@ class DenoiseUpscale(Pass):
 
     def _models(self, spec: FrameSpec) -> dict[str, str]:
         """The networks to choose from for frames of a spec, by their short tags."""
-        tags, ending = self._tags_for(spec), self._ending(spec)
+        tags, ending = self._tags_for(spec, self._device.runs_rows), self._ending(spec)
         return {short_tag(tag): model_of(tag, ending, self._device) for tag in tags}
 
     def note_time(self, milliseconds: float) -> None:
@@ -242,16 +257,22 @@ class DenoiseUpscale(Pass):
     def choice(self) -> str | None:
         return self._used if self.budget else None
 
+    def notice(self) -> str | None:
+        told, self._notice = self._notice, None
+        return told
+
     def reset(self) -> None:
         self._fresh = self._wider = False
         self._exposure = 1.0
         self._cameras.reset()
+        self._repeats.reset()
 
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._fresh):
             return {}
         known = {"exposure": np.array(self._exposure, np.float64), f"{NETWORK}{self._used}": np.array(1, np.int64),
                  WIDER: np.array(self._wider, np.int64)}
+        known |= {f"{REPEATS}{name}": array for name, array in self._repeats.history().items()}
         return known | self._cameras.snapshot() | self._history.snapshot() | self._part_history.snapshot()
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
@@ -265,6 +286,8 @@ class DenoiseUpscale(Pass):
             self._history.recall(history)
             self._part_history.recall(history)
             self._cameras.recall(history)
+            self._repeats.recall({name.removeprefix(REPEATS): array for name, array in history.items()
+                                  if name.startswith(REPEATS)})
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -276,8 +299,10 @@ class DenoiseUpscale(Pass):
             if ready.layers:
                 ready.layers.resample(commands, frame, colour)
         frame.set(Role.COLOUR, colour)
+        if isinstance(ready, ReadyNetwork) and ready.error:
+            frame.set(Role.ERROR, ready.error.encode(commands, frame))
         ready.passthrough.encode(commands, frame)
-        for role in (*PLANES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
+        for role in (*PLANES, *MIRRORED, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
             if not self._output.has(role):
                 frame.tensors.pop(role, None)
         frame.guides.clear()
@@ -287,6 +312,8 @@ class DenoiseUpscale(Pass):
         """The denoised colour, blended by strength; the history stays fully denoised."""
         cells = self._active(frame, ready)
         savings = self._savings if not frame.history_only else Savings()
+        if ready.error and cells is not None:
+            ready.error.forget()
         if ready.strength and cells is not None and not cells.any():
             savings.begin(0.0, False, False)
             self._fresh = False
@@ -295,15 +322,18 @@ class DenoiseUpscale(Pass):
                 ready.layers.resample(commands, frame, plain)
             return plain
         band = None if cells is None else ready.frames.layout(cells)
-        keep = self._fresh and not frame.reset and Role.MOTION in frame
+        repeats = self._is_repeated(frame)
+        keep = self._fresh and not (frame.reset or repeats) and Role.MOTION in frame
         gain = frame.exposure / self._exposure if keep else 1.0
         self._widen(commands, frame, ready, keep)
         params = np.array([frame.exposure, *frame.jitter, gain], np.float32)
         self._used = self._tags[self._ladder.rung if self._ladder else 0]
         ready.frames.use(ready.models[self._used])
         still = keep and gain == 1 and self._is_still(frame)
-        savings.begin(1.0 if band is None else band.share, keep, still)
-        planes: Mapping[str, Tensor] = ready.planes.encode(commands, frame)
+        savings.begin(1.0 if band is None else band.share, keep or repeats, still)
+        savings.note_repeats(repeats)
+        blanks = ready.models[self._used] in ready.blanking
+        planes: Mapping[str, Tensor] = ready.planes.encode(commands, frame, blanks)
         savings.note_planes(ready.planes.hazy)
         planes = {**planes, **ready.reactive.encode(commands, frame)}
         if ready.reflections:
@@ -316,6 +346,7 @@ class DenoiseUpscale(Pass):
         rows = ready.frames.rows(band, cells)
         if ready.strength and not (filtered or ready.restore):
             written = ready.strength.begin(frame, rows)
+        written |= ready.error.written if ready.error else {}
         colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
         own_runs = filtered.own_runs(frame, planes, params, keep) if filtered else ()
         for name, seen, own_params, output in own_runs:
@@ -347,8 +378,45 @@ class DenoiseUpscale(Pass):
             return None
         return active_cells(frame.host_planes[Role.STRENGTH])
 
+    def _is_repeated(self, frame: ResidentFrame) -> bool:
+        """Whether a frame's noise is that of the frame before. Not looked for where frames come on a GPU."""
+        planes = frame.host_planes
+        if frame.is_away or not {Role.COLOUR, Role.MOTION} <= planes.keys():
+            return False
+        if frame.reset:
+            self._repeats.reset()
+        repeats = self._repeats(planes) and self._fresh
+        if repeats and not self._has_told:
+            cause, fix = ONE_SEED
+            self._notice = ("its noise is that of the frame next to it, so it is denoised alone; "
+                            f"likely: {cause}; fix: {fix}")
+            self._has_told = True
+        return repeats
+
     def _is_still(self, frame: ResidentFrame) -> bool:
         return frame.is_blank(Role.MOTION)
+
+    def _check_error(self, spec: FrameSpec) -> None:
+        """PassOptionError where the error is asked for and a network of frames of this spec does not predict it."""
+        if not self._error:
+            return
+        if not self.strength:
+            raise PassOptionError("strength 0 runs no network, so none predicts the error: leave one of the two out")
+        for tag in self._tags_for(spec):
+            if not predicts_error(model_of(tag, self._ending(spec))):
+                raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at this size: "
+                                      f"{self._error_remedy()}")
+
+    def _error_remedy(self) -> str:
+        """What to do about it: a network that predicts it at the render size, where one comes with postfx."""
+        able = [tag for tag in family(LARGEST) if predicts_error(model_of(tag, UNSCALED))]
+        return f"give model '{able[-1]}' and scale 1, or leave the error out" if able else "leave the error out"
+
+    def _reads_mirrored(self, spec: FrameSpec) -> bool:
+        """Whether a network reads the planes that follow mirrors and glass; where frames may change their size, for
+        any of their sizes."""
+        endings = ("", UNSCALED) if self.size else (self._ending(spec),)
+        return any(reads_mirrored(model_of(tag, ending)) for tag in self._tags_for(spec) for ending in endings)
 
     def _read_parts(self, spec: FrameSpec) -> tuple[str, ...]:
         """Names of the parts; FrameError for a part that the frame lacks."""
@@ -414,7 +482,7 @@ class Savings:
 
     def __init__(self) -> None:
         self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind()}
-        self._alone = self._still = self._resized = self._known = self._full = self._hazy = 0
+        self._alone = self._still = self._resized = self._known = self._full = self._hazy = self._repeats = 0
         self._now = "whole"
         self._unfollowed: Counter[str] = Counter()
 
@@ -434,6 +502,10 @@ class Savings:
     def note_planes(self, hazy: bool) -> None:
         """`hazy`: this frame's depth and albedo are left out."""
         self._hazy += hazy
+
+    def note_repeats(self, repeats: bool) -> None:
+        """`repeats`: this frame's history is left out, as its noise is the same."""
+        self._repeats += repeats
 
     def note_resize(self, known: bool) -> None:
         """The next frame has another size; `known`: whether it is already prepared."""
@@ -464,6 +536,8 @@ class Savings:
             found.append((f"blend with the input for {_count(self._full)}", "strength is 1 everywhere"))
         if self._alone:
             found.append((f"history for {_count(self._alone)}", "first frame, cut, or no motion plane"))
+        if self._repeats:
+            found.append((f"history for {_count(self._repeats)}", "noise is that of the frame before"))
         if self._still:
             found.append((f"reprojection of the last output for {_count(self._still)}", "nothing moves"))
         if self._hazy:

@@ -24,10 +24,10 @@ from postfx.kernels.statistics import OUTSIDE, light_outside
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.graph import ClassicGraph, Layer, LayerGraph
 from postfx.passes.denoise.history import WHOLE, History, PartHistory, Reflections, can_follow
-from postfx.passes.denoise.models import CLASSIC, grid_of
+from postfx.passes.denoise.models import CLASSIC, blanks_volumes, grid_of, halo_of, reads_mirrored, seamless
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.parts import Layers
-from postfx.passes.denoise.planes import Passthrough, Plain, Planes, Reactive, Restore, Strength
+from postfx.passes.denoise.planes import ExpectedError, Passthrough, Plain, Planes, Reactive, Restore, Strength
 from postfx.passes.denoise.tiling import (
     FIXED,
     GAIN,
@@ -44,7 +44,6 @@ from postfx.passes.denoise.tiling import (
     bands_within,
     can_serve,
     cost,
-    halo_of,
     rows_of,
     whole_sides,
     whole_steps,
@@ -54,6 +53,8 @@ from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
 MOST_PLACES = 64
 OUT = ("output", "next_history", "light")
 """Names of outputs at output size begin so; the rest has render size."""
+ERROR = "error"
+"""Name of what the network expects to be off, where it is asked for."""
 CHANNELS = {"output": 3, "next_history": 3, "next_state": 4 + HIDDEN, "next_depth": 1}
 
 
@@ -164,7 +165,7 @@ class Assembly:
 
 def _put_together(targets: Mapping[str, Tensor]) -> tuple[str, ...]:
     """Names of the tensors that tiles write."""
-    return (*CHANNELS, *(name for name in targets if name.startswith(("light ", "next_part "))))
+    return (*CHANNELS, *(name for name in targets if name.startswith(("light ", "next_part ")) or name == ERROR))
 
 
 class Graphs(NamedTuple):
@@ -195,7 +196,7 @@ class Frames:
         self._guided, self._reactive, self._layered = guided, reactive, layered
         self._halo, self._fixed = halo_of(models), GPU_FIXED if device.gpu else FIXED
         self._graphs: LRUCache[Shape, Graphs] = LRUCache(MOST_GRAPHS)
-        self._bands = bands_within(device.scratch, sizes, models)
+        self._bands = bands_within(device.scratch, sizes, seamless(models))
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
         self._window = Window.whole(sizes)
         if self._bands:
@@ -436,6 +437,7 @@ class ReadyNetwork(Ready):
     Attributes:
         planes: the input of its kernels.
         models: the networks of this size by tag; each frame takes one.
+        blanking: those that do without depth and albedo in volumes.
         frames: runs the models.
         reactive: the mask where the history is not used.
         reflections: None if frames lack the planes for it.
@@ -444,15 +446,17 @@ class ReadyNetwork(Ready):
         layers: parts of the picture, and alpha; None without both.
         own: runs the models on parts that have filters of their own, by name.
         wider: for light that the frame's primaries do not hold.
+        error: the plane of expected errors; None if it is not asked for.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str], history: History,
                  guided: bool, strength: float, mask: ReactiveOption, parts: Sequence[Part], alpha: bool,
-                 part_history: PartHistory) -> None:
+                 part_history: PartHistory, error: bool = False) -> None:
         super().__init__(device, spec, output)
         sizes = Sizes(spec.height, spec.width, *output, grid_of(models.values()))
         self.models = models
-        self.planes = Planes(device, spec, output, guided)
+        self.blanking = {model for model in models.values() if blanks_volumes(model)}
+        self.planes = Planes(device, spec, output, guided, any(map(reads_mirrored, models.values())))
         self.reflections = Reflections(device, spec) if can_follow(spec) else None
         self.reactive = Reactive(device, spec, mask)
         alpha = alpha and spec.has(Role.ALPHA)
@@ -464,3 +468,4 @@ class ReadyNetwork(Ready):
         self.layers = Layers(device, spec, output, parts, alpha, part_history) if parts or alpha else None
         self.own = {name: self.frames.beside(own) for name, own in part_history.own.items()}
         self.wider = WiderPrimaries(device, parts)
+        self.error = ExpectedError(device, spec, output) if error else None

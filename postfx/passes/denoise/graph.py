@@ -14,9 +14,9 @@ from postfx.caching import LRUCache
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import FINE, IN_HALF, MIX, TRUST_CELL
 from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
-from postfx.kernels.denoise.features import FEATURE, GUIDE, TRUST
+from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP
-from postfx.kernels.denoise.network_io import SOME
+from postfx.kernels.denoise.network_io import OPEN_ERROR, SOME
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, means_size
 from postfx.kernels.denoise.pyramid import (
@@ -43,6 +43,7 @@ from postfx.kernels.denoise.upsample import (
 from postfx.passes.denoise.history import ALPHA_LAYER, alone, one_of, some_of
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.network import (
+    ERROR,
     PRODUCTS,
     Network,
     alike_heads,
@@ -82,7 +83,8 @@ class Graph:
     """Pipeline states, tensors and argument tables for windows of one size.
 
     A guided graph's models also read guides, and colour gets the guides' reflectance at output size, as far as it is
-    trusted. A reactive graph can use masks of how much history counts. Models that doubt planes also read their mean.
+    trusted. A reactive graph can use masks of how much history counts. Models that doubt planes also read their mean,
+    and some read planes that follow mirrors and glass, or say how far off each pixel is expected to be.
     Where layers are filtered, too, the `whole` fine head is kept for them.
     """
 
@@ -101,7 +103,8 @@ class Graph:
         self._heads = {model: self._heads_of(state, self._forms[model], between) for model, state in networks.items()}
         self._doubting = {model for model in models if doubts_planes(model)}
         self._ends = {model: self._end_of(model) for model in models}
-        self._make_tensors(networks[models[0]])
+        self._reads = {model: seen_by(state) for model, state in networks.items()}
+        self._make_tensors()
         self._seen |= {name: between(name, state.shapes[name], "float16") for model, state in networks.items()
                        for name in IN_HALF[FEATURE].writes if self._forms[model] == HALF and name in state.shapes}
         self._make_tables(all(map(codes_features, networks.values())))
@@ -119,17 +122,22 @@ class Graph:
                 the whole frame, because it is in place already or does not matter.
             masked: whether the reactive masks of this frame and the last say how much of the history each pixel keeps.
                 If not, one number says it for all.
+
+        The expected error is written where `tensors` has a place for it.
         """
         warped = self._made["warped"] if moves else tensors["history"]
         end, doubts = self._ends[model], model in self._doubting
         known = {"warped": warped, "keep": self._keep(tensors, masked), "fine": self._heads[model]["fine"],
                  "means": self._means if doubts else self._no_means, **self._networks[model].coded}
         tables = self._tables[self._forms[model]] | self._networks[model].looks
+        if ERROR in tensors:
+            known |= {"log_error": self._heads[model][ERROR]}
         self._bind(tables, {**self._made, **tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             self._run(encoder, tables, "dilate", *("means",) * doubts)
-            for names in (("history",) * moves + ("keep",) * masked, self._looks):
+            looks = (*self._looks, *("mirrored",) * ("mirrored" in self._reads[model]))
+            for names in (("history",) * moves + ("keep",) * masked, looks):
                 encoder.barrier()
                 self._run(encoder, tables, *names)
         self._networks[model].encode(commands)
@@ -143,7 +151,7 @@ class Graph:
                 self._run(encoder, tables, name)
         with commands.compute_encoder("upsample") as encoder:
             encoder.barrier(after="compute", before="compute")
-            self._run(encoder, tables, f"upsample {end}")
+            self._run(encoder, tables, f"upsample {end}", *(ERROR,) * (ERROR in tensors))
 
     def _keep(self, tensors: Mapping[str, Tensor], masked: bool) -> Tensor:
         """How much of the history counts, pixel by pixel or in one number."""
@@ -174,7 +182,7 @@ class Graph:
             heads[name] = upload(self._device.heap, name, np.broadcast_to(values, size).astype(dtype), dtype)
         return heads
 
-    def _make_tensors(self, network: PipelineState) -> None:
+    def _make_tensors(self) -> None:
         rows, columns, out = self._window.rows, self._window.columns, self._window.out
         self._made = {"moved": self._new("moved", (rows, columns, 2)), "past": self._new("past", (rows, columns, 4)),
                       "warped": self._new("warped", (out.rows, out.columns, 3)),
@@ -186,7 +194,8 @@ class Graph:
             self._made["trust"] = self._new("trust", (*cells, 1))
         if self._reactive:
             self._made["keep"] = self._new("keep", (rows, columns, 1))
-        self._seen = {name: self._new(name, shape) for name, shape in seen_by(network).items()}
+        seen = {name: shape for reads in self._reads.values() for name, shape in reads.items()}
+        self._seen = {name: self._new(name, shape) for name, shape in seen.items()}
 
     def _new_tables(self) -> Tables:
         return {form: {} for form in self._forms.values()}
@@ -213,6 +222,10 @@ class Graph:
             self._table(self._tables, "means", MEANS, means=self._means)
         if self._reactive:
             self._table(self._tables, "keep", KEEP, **made)
+        if "mirrored" in self._seen:
+            self._table(self._tables, "mirrored", MIRROR, **made)
+        if any(ERROR in heads for heads in self._heads.values()):
+            self._table(self._tables, ERROR, OPEN_ERROR)
         if self._guided:
             self._table(self._tables, "guides", GUIDE, **made)
             self._table(self._tables, "trust", TRUST, **made)

@@ -141,6 +141,53 @@ def doubts_planes(model: str) -> bool:
     return bool(_card(model).get("config", {}).get("trust"))
 
 
+def reads_mirrored(model: str) -> bool:
+    """Whether a model's network reads the planes that follow mirrors and glass."""
+    return any(name.endswith("mirrored") for name in _card(model).get("inputs", {}))
+
+
+def predicts_error(model: str) -> bool:
+    """Whether a model's network says how far off each pixel is expected to be."""
+    return "error" in _card(model).get("outputs", {})
+
+
+def blanks_volumes(model: str) -> bool:
+    """Whether depth and albedo are left out for a model where they show what lies behind a volume."""
+    return bool(_card(model).get("blanks_volumes", True))
+
+
+HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 72, "m": 44, "l": 48}, 104
+"""Render pixels that a network must see around active ones so that the result differs by less than 1e-3 from that of
+the whole frame: by model size, the largest for other models, and for models that read guides. docs/lab/denoiser.md
+lists the differences. A card's own "halo" comes before them."""
+
+
+def halo_of(models: Iterable[str]) -> int:
+    """The halo that is enough for all of these models."""
+    return max(_halo_in_card(model) or _halo(model) for model in models)
+
+
+def seamless(models: Iterable[str]) -> int:
+    """Halo of tiles side by side. A measured one is larger than around masks, as every seam shows: with it integer
+    networks agree, too, frame after frame."""
+    return max(_halo_in_card(model) or _halo(model) * 4 // 3 for model in models)
+
+
+def _halo(model: str) -> int:
+    if model.removesuffix(FILE).endswith(GUIDED):
+        return GUIDED_HALO
+    if model in HALOS:
+        return HALOS[model]
+    size = "" if "/" in model else model.split(".")[1]  # of other libraries, nothing was measured
+    return HALOS.get(size, max(HALOS.values()))
+
+
+def _halo_in_card(model: str) -> int:
+    """All pixels that a model's network sees around each, by its card; 0 if it says nothing."""
+    halo = _card(model).get("halo")
+    return halo if isinstance(halo, int) else 0
+
+
 def _card(model: str) -> dict[str, Any]:
     library, name = find_model(model)
     return library.card(name) if name in library.names() else {}

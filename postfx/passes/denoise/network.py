@@ -10,7 +10,7 @@ from itertools import zip_longest
 import numpy as np
 
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import FEATURES, FINE, GUIDES, IN_HALF
+from postfx.kernels.denoise import FEATURES, FINE, GUIDES, IN_HALF, MIRRORED
 from postfx.kernels.denoise.features import STORED_FEATURE
 from postfx.kernels.denoise.network_io import (
     OPEN,
@@ -18,6 +18,7 @@ from postfx.kernels.denoise.network_io import (
     OPEN_FINE,
     OPEN_FINE_CODES,
     OPEN_FINE_PRODUCTS,
+    OPEN_LOGITS,
     OPEN_PHASED,
     OPEN_PRODUCTS,
     OPEN_SOME_PRODUCTS,
@@ -35,6 +36,10 @@ PACKED, RAW = "packed_", "raw_"
 """Prefix of the names of inputs and outputs in half precision, channels last."""
 PHASED_FINE = "phased_fine"
 """The fine head in float32 before its activations, with the four phases of each channel in a row."""
+FINE_LOGITS = "fine_logits"
+"""The fine head in float32 before its activations, of a network whose last level has the render size."""
+ERROR = "error"
+"""The logarithm of each pixel's expected squared error."""
 STORED, CODING = "stored_", "coding_"
 """Prefixes of the names of 8-bit inputs, channels last, and of the constants that tell how they are coded."""
 PRODUCTS, SCALING = "products_", "scaling_"
@@ -43,8 +48,8 @@ CODES = "codes_"
 """Prefix of the names of 8-bit outputs, channels last, of which kernels make such products."""
 RING = 1
 """Border in pixels around 8-bit inputs, for networks whose first convolution reads beyond the picture."""
-MADE = (PACKED, RAW, PHASED_FINE, STORED, PRODUCTS, CODES)
-CHANNELS = {"features": FEATURES, "guides": GUIDES}
+MADE = (PACKED, RAW, PHASED_FINE, FINE_LOGITS, STORED, PRODUCTS, CODES)
+CHANNELS = {"features": FEATURES, "guides": GUIDES, "mirrored": MIRRORED}
 FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
 """Feature channels that float32 networks read as inputs of their own: a CPU is fastest with few, or multiples of 16."""
 
@@ -97,6 +102,8 @@ def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
         name, size = binding.name.removeprefix(RAW), state.shapes[binding.name]
         if binding.name == PHASED_FINE:
             heads["fine"] = opened_shape("fine", *size[2:])
+        elif binding.name == FINE_LOGITS:
+            heads["fine"] = size
         elif binding.access == "write" and not binding.name.startswith((PRODUCTS, CODES)):
             heads[name] = size if name == binding.name else opened_shape(name, *size[1:3])
     return heads
@@ -109,7 +116,7 @@ def check_bindings(state: PipelineState) -> None:
     reads = {b.name for b in state.bindings if b.access == "read"}
     strange = [name for name in reads if plain[name] not in (*CHANNELS, *FEATURE_PARTS)]
     gives = {plain[b.name] for b in state.bindings if b.access == "write"} | set(state.constants)
-    if strange or "features" not in seen_by(state) or not {"fine", PHASED_FINE} & gives:
+    if strange or "features" not in seen_by(state) or not {"fine", PHASED_FINE, FINE_LOGITS} & gives:
         raise ModelError(f"model '{state.name}' is not a denoiser: it reads {', '.join(sorted(reads)) or 'nothing'} "
                          f"and gives {', '.join(sorted(gives)) or 'nothing'}; training.denoise.export makes one")
 
@@ -141,7 +148,7 @@ class Network:
         if codes_features(state):
             packed.remove(name := f"{STORED}{features}")
             self.looks[features] = _table(state, STORED_FEATURE, coding=constants[CODING + features], stored=made[name])
-        closed = [name for name in made if name.startswith((RAW, PHASED_FINE, PRODUCTS))]
+        closed = [name for name in made if name.startswith((RAW, PHASED_FINE, FINE_LOGITS, PRODUCTS))]
         self._before = [_packer(state, made[name], constants, seen) for name in packed]
         openers = [_openers(state, made[name], constants, heads) for name in closed]
         self.coded: dict[str, Tensor] = {}
@@ -208,6 +215,8 @@ def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor
             heads: Mapping[str, Tensor]) -> ArgumentTable:
     if closed.name == PHASED_FINE:
         return _table(state, OPEN_PHASED, phased_fine=closed, fine=heads["fine"])
+    if closed.name == FINE_LOGITS:
+        return _table(state, OPEN_LOGITS, fine_logits=closed, fine=heads["fine"])
     if closed.name == f"{RAW}fine":
         return _table(state, OPEN_FINE, raw_fine=closed, fine=heads["fine"])
     if closed.name.startswith(RAW):

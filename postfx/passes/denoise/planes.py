@@ -30,6 +30,8 @@ from postfx.sampling import three_by_three
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.
 ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0, Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0,
           Role.MOTION: 0.0}
+MIRRORED = {Role.DENOISING_ALBEDO: 0.0, Role.DENOISING_NORMAL: 0.0}
+"""The same of planes that follow mirrors and glass, which only some networks read."""
 HAZY = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DEPTH)
 """Planes that are left out in a volume: they show the surface behind it for the samples that came so far."""
 FOUND, LOST = 0.12, 0.08
@@ -94,16 +96,17 @@ class Planes:
         hazy: whether the last frame showed a volume.
     """
 
-    def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool) -> None:
-        render = Size(spec.height, spec.width)
+    def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool, mirrored: bool = False) -> None:
+        """`mirrored`: also the planes that follow mirrors and glass."""
+        render, read = Size(spec.height, spec.width), (*ABSENT, *(MIRRORED if mirrored else ()))
         self._device, self._spec, self.hazy, self._looked = device, spec, False, False
         self._haze: dict[str, Tensor] = {}
-        self._held = {role: str(role) for role in ABSENT if spec.has(role)}
+        self._held = {role: str(role) for role in read if spec.has(role)}
         self._guides = [role for role in GUIDE_ROLES if guided and role in spec.guide_roles]
         self._constants: dict[str, Tensor] = {}
         self._reduced: dict[Role, Resampler] = {}
         self._enlarged: dict[Role, Resampler] = {}
-        for role in ABSENT:
+        for role in read:
             if role in spec.guide_roles and not spec.has(role):
                 self._reduced[role] = Resampler(device, f"reduced {role}", role, output, render)
             elif not spec.has(role):
@@ -114,8 +117,9 @@ class Planes:
             elif role not in spec.guide_roles:
                 self._constants[f"guide_{role}"] = absent_plane(device, role, output)
 
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Mapping[str, Tensor]:
-        """Record the resampling, if any; returns every plane by name."""
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, blank: bool = True) -> Mapping[str, Tensor]:
+        """Record the resampling, if any; returns every plane by name. `blank`: where the frame shows a volume, depth
+        and albedo are left out."""
         if self._reduced or self._enlarged:
             with commands.compute_encoder("resample") as encoder:
                 encoder.barrier(after=("compute", "machine-learning"), before="compute")
@@ -127,7 +131,8 @@ class Planes:
         planes |= {f"guide_{role}": frame.guides[role] for role in self._guides}
         planes |= {str(role): resampler.output for role, resampler in self._reduced.items()}
         planes |= {f"guide_{role}": resampler.output for role, resampler in self._enlarged.items()}
-        return planes | self._constants | self._find_haze(frame)
+        self.hazy = blank and self.hazy
+        return planes | self._constants | (self._find_haze(frame) if blank else {})
 
     def _find_haze(self, frame: ResidentFrame) -> dict[str, Tensor]:
         """Stand-ins for the planes that a volume hides, if it does. Planes on the device are looked at where a sequence
@@ -151,7 +156,7 @@ def shows_volume(depth: np.ndarray, before: bool = False) -> bool:
 
 def absent_plane(device: Device, role: Role, size: Size) -> Tensor:
     """What stands for a plane that a frame lacks."""
-    return device.wrap(f"absent {role}", np.full((*size, ROLES[role].channels), ABSENT[role], np.float32))
+    return device.wrap(f"absent {role}", np.full((*size, ROLES[role].channels), (ABSENT | MIRRORED)[role], np.float32))
 
 
 CENTRED = (0.0, 0.0)
@@ -164,6 +169,28 @@ def passthrough_roles(spec: FrameSpec) -> tuple[Role, ...]:
     if spec.has(Role.PARTNER):
         kept += tuple(role for role in (Role.PARTNER, Role.MOTION, Role.STRENGTH) if spec.has(role))
     return (*kept, Role.LATER) if Role.LATER in spec.guide_roles else kept
+
+
+class ExpectedError:
+    """The plane `error`: what a network expects to be off, for frames at any of its sizes; 0 where no network ran.
+
+    Attributes:
+        written: where the network's kernels write it, by their name.
+    """
+
+    def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
+        render = Size(spec.height, spec.width)
+        self.written = {"error": device.heap.tensor("expected error", (*render, 1))}
+        self._resampler = Resampler(device, "error", Role.ERROR, render, output) if output != render else None
+
+    def forget(self) -> None:
+        """Before the commands of a frame that are not for all of it."""
+        self.written["error"].fill(0)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
+        """Record what brings it to the output's size; returns the plane."""
+        error = self.written["error"]
+        return _resampled(commands, "error", self._resampler, error, frame.jitter) if self._resampler else error
 
 
 class LargerMotion:

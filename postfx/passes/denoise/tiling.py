@@ -166,11 +166,6 @@ def _mirrored(count: int, held: int) -> np.ndarray:
     return places
 
 
-HALOS, GUIDED_HALO = {"classic": 40, "s": 72, "m": 44, "l": 48}, 104
-"""Render pixels that a network must see around active ones so that the result differs by less than 1e-3 from that of
-the whole frame: by model size, the largest for other models, and for models that read guides. docs/lab/denoiser.md
-lists the differences."""
-
 REACH = 2
 """Distance in render pixels that a pixel's strength reaches when it is resampled."""
 
@@ -261,20 +256,6 @@ def _grouped(mask: np.ndarray, step: int) -> np.ndarray:
     padded = np.pad(mask, ((0, -len(mask) % step), (0, 0)))
     groups: np.ndarray = np.logical_or.reduce([padded[i::step] for i in range(step)])
     return groups
-
-
-def halo_of(models: Iterable[str]) -> int:
-    """The halo that is enough for all of these models."""
-    return max(map(_halo, models))
-
-
-def _halo(model: str) -> int:
-    if model.removesuffix(".onnx").endswith(".guides"):
-        return GUIDED_HALO
-    if model in HALOS:
-        return HALOS[model]
-    size = "" if "/" in model else model.split(".")[1]  # of other libraries, nothing was measured
-    return HALOS.get(size, max(HALOS.values()))
 
 
 def boxes_of(cells: np.ndarray) -> Iterator[list[Box]]:
@@ -444,8 +425,8 @@ WINDOW = 0.75
 rest."""
 
 
-def bands_within(scratch: Scratch | None, frame: Sizes, models: Sequence[str]) -> list[Band]:
-    """Bands that fill the frame; none if the whole frame fits the budget at once.
+def bands_within(scratch: Scratch | None, frame: Sizes, halo: int) -> list[Band]:
+    """Bands that fill the frame, with this halo around their tiles; none if the whole frame fits the budget at once.
 
     Raises MemoryBudgetError, which names the smallest budget, when no window is small enough.
     """
@@ -453,7 +434,6 @@ def bands_within(scratch: Scratch | None, frame: Sizes, models: Sequence[str]) -
         return []
     if _needed((frame.h, frame.w), 0) <= scratch.budget:
         return []
-    halo = seamless(models)
     needed = {(box, shape): _needed(shape, count_of(frame, box)) for box, shape in grids(frame, halo)}
     fitting = [grid for grid, nbytes in needed.items() if nbytes <= scratch.budget]
     if not fitting:
@@ -466,9 +446,3 @@ def bands_within(scratch: Scratch | None, frame: Sizes, models: Sequence[str]) -
 def _needed(shape: Shape, tiles: int) -> int:
     """The smallest budget for a frame in this many tiles with windows of this shape."""
     return PROCESS + tiles * TILE + int(shape[0] * shape[1] * PIXEL / WINDOW)
-
-
-def seamless(models: Sequence[str]) -> int:
-    """Halo of tiles side by side. It is larger than around masks, as every seam shows: with it integer networks agree,
-    too, frame after frame."""
-    return halo_of(models) * 4 // 3

@@ -19,6 +19,8 @@ from training import ops  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise import train  # noqa: E402
 from training.denoise.dataset import (  # noqa: E402
+    CHANNELS,
+    MOTION,
     Augment,
     Batch,
     Stack,
@@ -29,12 +31,13 @@ from training.denoise.dataset import (  # noqa: E402
 )
 from training.denoise.gradient import copy_batch, tensors  # noqa: E402
 from training.denoise.loss import ClipLoss  # noqa: E402
+from training.denoise.model import Step  # noqa: E402
 
 
 def turned_clip() -> Stack:
     """The picture that turns and slides, with its inverse motion."""
     clip = moving_clip(2)
-    motion = clip.planes[0, :, 14:16].movedim(1, -1).numpy()
+    motion = clip.planes[0, :, MOTION:CHANNELS].movedim(1, -1).numpy()
     planes = {"v0_motion": motion, "v0_depth": np.ones(motion.shape[:3], np.float32)}
     inverse = torch.from_numpy(inverse_motion(planes, "v0")).movedim(-1, 1).half().to(clip.planes.dtype)
     return replace(clip, planes=torch.cat((clip.planes, inverse[None]), 2), pairs=("inverse",))
@@ -64,12 +67,12 @@ def test_without_motion_there_is_none_either_way() -> None:
 def test_inverse_motion_is_made_when_a_clip_is_loaded(tmp_path: Path) -> None:
     write_clips(tmp_path, 1)
     clip = load(tmp_path / "clip0000.npz", torch.device("cpu"), pairs=("inverse",))
-    assert clip.planes.shape == (1, 2, 18, 48, 60)
+    assert clip.planes.shape == (1, 2, CHANNELS + 2, 48, 60)
     with np.load(tmp_path / "clip0000.npz") as file:
         frames = [Frame({Role.MOTION: motion, Role.DEPTH: depth[..., None]})
                   for motion, depth in zip(file["v0_motion"], file["v0_depth"], strict=True)]
     wanted = torch.from_numpy(motion_to_next(*frames)).movedim(-1, 0)
-    assert torch.equal(clip.planes[0, 0, 16:], wanted.half()) and not clip.planes[0, 1, 16:].any()
+    assert torch.equal(clip.planes[0, 0, CHANNELS:], wanted.half()) and not clip.planes[0, 1, CHANNELS:].any()
     batch = to_batch(collate([clip], [0], 32))
     assert batch.inverse[0].shape == batch.frames[0].motion.shape == (1, 2, 32, 32)
 
@@ -77,15 +80,15 @@ def test_inverse_motion_is_made_when_a_clip_is_loaded(tmp_path: Path) -> None:
 class Told(torch.nn.Module):
     """Instead of a network: the frame's motion as a grey picture."""
 
-    def forward(self, inputs, state):
-        return inputs.motion[:, :1].expand(-1, 3, -1, -1), state, None
+    def step(self, inputs, state):
+        return Step(inputs.motion[:, :1].expand(-1, 3, -1, -1), state, None, None)
 
 
 def told_clip(cuts: list[int]) -> Batch:
     """Motion is 1 forwards and 2 backwards."""
     clip = moving_clip(1)
     planes = torch.cat((clip.planes, clip.planes[:, :, :2]), 2)[:, :1].repeat(1, len(cuts), 1, 1, 1)
-    planes[:, :, 14:16], planes[:, :, 16:] = 1, 2
+    planes[:, :, MOTION:CHANNELS], planes[:, :, CHANNELS:] = 1, 2
     repeated = {name: getattr(clip, name)[:, :1].repeat(1, len(cuts), *[1] * (getattr(clip, name).ndim - 2))
                 for name in ("jitter", "reference", "albedos", "guides")}
     keep = 1 - torch.tensor([cuts], dtype=torch.float32)

@@ -17,6 +17,7 @@ from training import ops  # noqa: E402
 from training.datagen.scenes.motion import Camera, look_at  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise.dataset import (  # noqa: E402
+    CHANNELS,
     GUIDES,
     MOTION,
     SURFACE,
@@ -44,7 +45,7 @@ def entries(count: int) -> Stack:
     """Clips of one motion everywhere, (1, -2), and another one for a world at rest, (5, 7)."""
     clip = moving_clip(1)
     planes = torch.cat((clip.planes, clip.planes[:, :, :2]), 2).repeat(count, 1, 1, 1, 1)
-    for channel, value in zip(range(14, 18), (1.0, -2.0, 5.0, 7.0), strict=True):
+    for channel, value in zip(range(MOTION, MOTION + 4), (1.0, -2.0, 5.0, 7.0), strict=True):
         planes[:, :, channel] = value
     repeated = {name: getattr(clip, name).repeat(count, *[1] * (getattr(clip, name).ndim - 1))
                 for name in ("jitter", "spread", "keep", "reference", "albedos", "exposure")}
@@ -71,9 +72,10 @@ def test_false_motion_is_one_of_four_kinds_and_the_loss_keeps_the_true_one() -> 
 
 def test_an_ellipse_takes_the_mean_motion_around_it() -> None:
     clip = entries(64)
-    clip.planes[:, :, 14] = torch.where(torch.arange(60) < 30, 0.0, 4.0)  # left half, right half
+    clip.planes[:, :, MOTION] = torch.where(torch.arange(60) < 30, 0.0, 4.0)  # left half, right half
     torch.manual_seed(1)
-    motion = falsify_motion(to_batch(replace(clip, planes=clip.planes[:, :, :16], pairs=())), 1.0).frames[1].motion
+    moving = to_batch(replace(clip, planes=clip.planes[:, :, :CHANNELS], pairs=()))
+    motion = falsify_motion(moving, 1.0).frames[1].motion
     between = ((motion[:, 0] > 0.01) & (motion[:, 0] < 3.99)).flatten(1).any(1)
     assert between.any()
     for x in motion[between, 0]:
@@ -138,13 +140,15 @@ def test_planes_come_from_the_sparser_render_and_light_from_the_denser(tmp_path:
     assert clip.samples == [1, 32] and sparser(clip, 1) == 0 and sparser(clip, 0) == 0
     assert sparser(replace(clip, spread=[False, True]), 1) == 1  # samples at one place fit no other render
     dense, mixed = collate([clip], [1]).planes, collate([clip], [1], None, [0]).planes
-    assert torch.equal(mixed[:, :, SURFACE], collate([clip], [0]).planes[:, :, SURFACE])
-    assert torch.equal(mixed[:, :, :3], dense[:, :, :3]) and torch.equal(mixed[:, :, 13:], dense[:, :, 13:])
+    sparse = collate([clip], [0]).planes
+    assert all(torch.equal(mixed[:, :, part], sparse[:, :, part]) for part in SURFACE)
+    light = [channel for channel in range(CHANNELS) if not any(part.start <= channel < part.stop for part in SURFACE)]
+    assert torch.equal(mixed[:, :, light], dense[:, :, light])
     pool = ClipPool({tmp_path: 1.0}, torch.device("cpu"), held_out=10**6)
     pool.seen.clear()
     pool.training = {tuple(clip.reference.shape): [clip]}
     drawn = pool.draw(16, 16, 0, sparse=1.0)
-    assert drawn.planes.shape == (16, 2, 16, 16, 16)
+    assert drawn.planes.shape == (16, 2, CHANNELS, 16, 16)
 
 
 def test_clips_of_a_folder_are_drawn_as_often_as_its_weight_says(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.kernels.denoise.network_io import OPEN_PHASED
-from postfx.passes.denoise.network import PHASED_FINE
+from postfx.kernels.denoise.network_io import OPEN_LOGITS, OPEN_PHASED
+from postfx.passes.denoise.network import FINE_LOGITS, PHASED_FINE
 from postfx.runtime import Device, Library, ModelError
 from postfx.system import models_dir
 
@@ -22,22 +22,25 @@ import onnx  # noqa: E402
 import onnxruntime  # noqa: E402
 
 from training.denoise import export as denoise_export  # noqa: E402
-from training.denoise.checkpoint import weights_of  # noqa: E402
-from training.denoise.model import FEATURES, FINE, GUIDES, DenoiseUpscale, TrunkConfig  # noqa: E402
+from training.denoise.checkpoint import pack, weights_of  # noqa: E402
+from training.denoise.model import FEATURES, FINE, GUIDES, DenoiseUpscale, Trunk, TrunkConfig  # noqa: E402
+from training.denoise.residual import ResidualConfig, ResidualTrunk  # noqa: E402
 from training.export import PARITY, ParityError, lower_constants, parity, relative_error  # noqa: E402
 
 EXACT = sorted(path for path in models_dir().glob("denoise_upscale.*.onnx")
                if not {"int8", "fp16"} & {*path.stem.split(".")})
 TINY = TrunkConfig((16, 16, 16, 16), 1)
 CONFIGS = {"tiny.guides": replace(TINY, guides=True), "quad": replace(TINY, stem=24, reach=2),
-           "low": TrunkConfig((16, 16), 2)}
+           "low": TrunkConfig((16, 16), 2),
+          "residual": ResidualConfig((16, 16, 16, 16, 16), (1, 1, 1, 1, 2), (1, 1, 1, 1))}
 
 
 @pytest.fixture(scope="module", params=CONFIGS)
 def checkpoint(request: pytest.FixtureRequest) -> dict:
     """A checkpoint of a small network, as train.py writes them."""
     torch.manual_seed(0)
-    model = DenoiseUpscale(CONFIGS[request.param])
+    config = CONFIGS[request.param]
+    model = DenoiseUpscale(trunk=(ResidualTrunk if request.param == "residual" else Trunk)(config))
     weights = {key: value + 0.05 * torch.randn_like(value) for key, value in model.state_dict().items()}
     return {"config": model.config.as_dict(), "weights": weights, "notes": {"steps": 7}}
 
@@ -72,7 +75,7 @@ def test_file_runs_as_the_network_at_any_size(checkpoint: dict, folder: Path, na
     path = folder / f"{name}.onnx"
     for height, width in ((16, 16), (64, 96), (80, 32)):
         examples = denoise_export.example(trunk, height, width)
-        exported = denoise_export.ExportedTrunk(trunk)
+        exported = denoise_export.exported(trunk)
         assert parity(exported, path, examples, {"height": height, "width": width}) <= PARITY
 
 
@@ -82,7 +85,8 @@ def test_the_fine_head_is_opened_as_the_network_does(checkpoint: dict, folder: P
     session = onnxruntime.InferenceSession(folder / f"{name}.onnx", providers=["CPUExecutionProvider"])
     reads = {value.name: example.numpy() for value, example in zip(session.get_inputs(), examples, strict=True)}
     fine = np.empty((1, FINE, 48, 32), np.float32)
-    OPEN_PHASED.rows(0, 48, session.run([PHASED_FINE], reads)[0], fine)
+    kernel, output = (OPEN_LOGITS, FINE_LOGITS) if name.endswith("residual") else (OPEN_PHASED, PHASED_FINE)
+    kernel.rows(0, 48, session.run([output], reads)[0], fine)
     with torch.no_grad():
         assert relative_error(fine, trunk(torch.cat(examples[:2], 1), *examples[2:])[0].numpy()) <= PARITY
 
@@ -92,7 +96,7 @@ def test_a_different_network_is_found_out(checkpoint: dict, folder: Path, name: 
     with torch.no_grad():
         trunk.stem.weight *= 1.1
     with pytest.raises(ParityError, match="differs from torch by"):
-        parity(denoise_export.ExportedTrunk(trunk), folder / f"{name}.onnx", denoise_export.example(trunk, 32, 32))
+        parity(denoise_export.exported(trunk), folder / f"{name}.onnx", denoise_export.example(trunk, 32, 32))
 
 
 def test_sizes_are_fixed_by_name(checkpoint: dict, folder: Path, name: str) -> None:
@@ -103,6 +107,7 @@ def test_sizes_are_fixed_by_name(checkpoint: dict, folder: Path, name: str) -> N
     assert shapes.get("guides") == ((1, GUIDES, 48, 80) if checkpoint["config"]["guides"] else None)
     computed, alike = {3: (6, 10), 4: (3, 5)}, {"level3": (1, 26, 1, 1), "level4": (1, 25, 1, 1)}
     computed, alike = ({}, alike) if name.endswith(".low") else (computed, {})
+    assert shapes.get("mirrored") == ((1, 6, 48, 80) if checkpoint["config"].get("mirrored") else None)
     assert {i: shapes[f"level{i}"][2:] for i in (1, 2, *computed)} == {1: (24, 40), 2: (12, 20), **computed}
     assert {name: array.shape for name, array in state.constants.items()} == alike
     with pytest.raises(ModelError, match="width"):
@@ -155,6 +160,28 @@ def test_summary_says_what_a_network_is_for(checkpoint: dict) -> None:
     found = [denoise_export.card(checkpoint, tag, 0.0, {})["summary"] for tag in ("m", "m.1x", "m.guides")]
     assert [text.removeprefix("recurrent denoised upscaler, ") for text in found] == [
         "1x to 3x", "for 1x", "1x to 3x, guides at output size"]
+
+
+def test_a_packed_state_is_exported_alike(checkpoint: dict, folder: Path, name: str) -> None:
+    run = {"live": checkpoint["weights"], "step": 7, "seconds": 1.0, "seed": 0, "commit": "none", "arguments": {}}
+    packed = pack(checkpoint | run)
+    path = folder / "packed.onnx"
+    denoise_export.export_trunk(denoise_export.load_trunk(packed), path)
+    assert path.read_bytes() == (folder / f"{name}.onnx").read_bytes()
+    assert denoise_export.card(packed, "packed", 0.0, {})["parameters"] == sum(
+        weight.numel() for weight in checkpoint["weights"].values())
+
+
+def test_a_card_says_how_far_a_residual_network_sees() -> None:
+    config = ResidualConfig((8, 8, 8, 8, 8), (1, 1, 1, 1, 1), (1, 1, 1, 1))
+    trunk = ResidualTrunk(config).eval()
+    planes = [torch.zeros(1, 35, 16, 512), torch.zeros(1, 6, 16, 512)]
+    changed = [planes[0].index_fill(3, torch.tensor([256]), 1), planes[1]]
+    with torch.no_grad():
+        differ = (trunk(*planes)[0] != trunk(*changed)[0]).any(1).nonzero()[:, 2]
+    assert 256 - config.reach - 16 <= int(differ.min()) and int(differ.max()) <= 256 + config.reach + 16
+    assert denoise_export.card({"config": config.as_dict(), "weights": {}, "notes": {}}, "l.1x", 0.0, {})["halo"] \
+        == config.reach + 62
 
 
 def test_relative_error() -> None:

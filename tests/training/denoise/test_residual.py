@@ -1,10 +1,13 @@
 """The residual trunk: the interface of the plain one, and a stream whose scale does not matter."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from training.denoise.checkpoint import pack, save, unpack
-from training.denoise.model import DenoiseUpscale, Trunk, TrunkConfig
+from training.denoise.loss import error_loss
+from training.denoise.model import DenoiseUpscale, Inputs, Trunk, TrunkConfig, mirrored_features
 from training.denoise.residual import STEEPEST, ResidualConfig, ResidualTrunk, bound, normalise
 from training.denoise.train import rate_at
 
@@ -18,10 +21,33 @@ def trunk():
 
 
 def test_heads_are_those_of_the_plain_trunk(trunk):
-    features = torch.rand(1, 35, 48, 64)
+    features, mirrored = torch.rand(1, 35, 48, 64), torch.rand(1, 6, 48, 64)
     with torch.no_grad():
-        found, expected = trunk(features), Trunk(TrunkConfig((8, 8, 8, 8)))(features)
+        *found, error = trunk(features, mirrored)
+        expected = Trunk(TrunkConfig((8, 8, 8, 8)))(features)
     assert [head.shape for head in found] == [head.shape for head in expected]
+    assert error.shape == (1, 1, 48, 64)
+
+
+def test_the_predicted_error_finds_the_mean_of_the_squared_error():
+    torch.manual_seed(0)
+    reference = torch.zeros(1, 3, 64, 64)
+    output = 0.1 * torch.randn(1, 3, 64, 64)
+    predicted = torch.full((1, 1, 1, 1), -8.0, requires_grad=True)
+    optimiser = torch.optim.Adam([predicted], lr=0.1)
+    for _ in range(200):
+        optimiser.zero_grad()
+        error_loss(predicted.expand(-1, -1, 64, 64), output, reference).backward()
+        optimiser.step()
+    assert predicted.item() == pytest.approx(output.square().mean().log().item(), abs=0.02)
+
+
+def test_planes_that_a_file_lacks_count_as_zeros():
+    plane = torch.ones(1, 3, 4, 4)
+    inputs = Inputs(*[plane] * 7, jitter=torch.zeros(1, 2))
+    assert not mirrored_features(inputs).any()
+    seen = mirrored_features(replace(inputs, denoising_albedo=0.5 * plane))
+    assert seen[:, :3].eq(0.5).all() and not seen[:, 3:].any()
 
 
 def test_logits_do_not_grow_with_the_stream(trunk):

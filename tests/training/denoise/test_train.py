@@ -21,7 +21,16 @@ from tests.training.small_denoiser import SMALL, small_model  # noqa: E402
 from training.datagen.clip_file import save_clip  # noqa: E402
 from training.denoise import loss as losses  # noqa: E402
 from training.denoise import train  # noqa: E402
-from training.denoise.dataset import Augment, Batch, ClipPool, Stack, load, to_batch  # noqa: E402
+from training.denoise.dataset import (  # noqa: E402
+    CHANNELS,
+    MOTION,
+    Augment,
+    Batch,
+    ClipPool,
+    Stack,
+    load,
+    to_batch,
+)
 from training.denoise.gradient import FlatGradient, GradientStep, copy_batch  # noqa: E402
 from training.denoise.model import TrunkConfig  # noqa: E402
 
@@ -53,11 +62,11 @@ def moving_clip(scale: int, frames: int = 2) -> Stack:
     """A picture that turns and slides; colour holds point samples."""
     jitter = torch.tensor([[0.3, -0.4], [-0.2, 0.35]])[:frames]
     x, y = grid(H, W)
-    planes, reference = torch.rand(frames, 16, H, W), []
+    planes, reference = torch.rand(frames, CHANNELS, H, W), []
     for t in range(frames):
         planes[t, :3] = pattern(*rotated_back(x + jitter[t, 0], y + jitter[t, 1], t))
         before = rotated_back(x, y, 1)
-        planes[t, 14], planes[t, 15] = before[0] - x, before[1] - y
+        planes[t, MOTION], planes[t, MOTION + 1] = before[0] - x, before[1] - y
         reference.append(pattern(*rotated_back(*grid(scale * H, scale * W), t)))
     guides = torch.rand(1, frames, 11, scale * H, scale * W)
     return Stack(planes[None], jitter[None], torch.tensor([False]), torch.ones(1, frames), torch.stack(reference)[None],
@@ -215,7 +224,7 @@ def write_clips(folder: Path, count: int) -> None:
     clip = moving_clip(2)
     planes, jitter, reference = (x[0].numpy() for x in (clip.planes, clip.jitter, clip.reference))
     names = {"colour": slice(0, 3), "diffuse_albedo": slice(3, 6), "specular_albedo": slice(6, 9),
-             "normal": slice(9, 12), "roughness": 12, "depth": 13, "motion": slice(14, 16)}
+             "normal": slice(9, 12), "roughness": 12, "depth": 13, "motion": slice(MOTION, CHANNELS)}
     variant = {name: np.moveaxis(planes[:, at], 1, -1) if isinstance(at, slice) else planes[:, at] + 0.5
                for name, at in names.items()}
     facts = {"scale": 2.0, "seed": 0, "scene": "test", "meta": {}}

@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 
 import postfx
-from training.datagen.clip_file import first_only
+from training.datagen.clip_file import MIRRORED, first_only
 from training.datagen.cycles.exchange import half_file, noisy_file, read_pass, vectors_file
 
 ROOT = Path(__file__).parents[3]
 START = "import sys; sys.path.insert(0, sys.argv[1]); from training.datagen.cycles.blender.worker import main; main()"
-NAMES = ("colour", "diffuse_albedo", "specular_albedo", "normal", "depth", "motion")
+NAMES = ("colour", "diffuse_albedo", "specular_albedo", "normal", "depth", "motion", *MIRRORED)
 NO_ROUGHNESS = 0.5  # stands in for roughness, which Cycles does not write
 
 
@@ -108,9 +108,10 @@ def read_render(paths: list[Path], plain: bool, vectors: list[Path] | None = Non
     """
     found: dict[str, list[np.ndarray]] = {key: [] for key in NAMES}
     for number, path in enumerate(paths):
-        planes = read_planes(path)
+        planes = read_planes(path) | {"denoising_albedo": np.clip(read_pass(path, "Denoising Albedo"), 0, 1),
+                                      "denoising_normal": read_pass(path, "Denoising Normal")}
         if plain:
-            planes |= {"diffuse_albedo": np.clip(read_pass(path, "Denoising Albedo"), 0, 1),
+            planes |= {"diffuse_albedo": planes["denoising_albedo"],
                        "specular_albedo": np.zeros_like(planes["colour"])}
         if vectors:
             planes["motion"] = read_planes(vectors[number])["motion"]

@@ -1,0 +1,421 @@
+"""Passes by networks that know light of scenes: ambient occlusion of any scene, and irradiance and shading of one.
+
+Their work around the networks is done by the host, in `Device.host_state`, so they run on every device. On a GPU planes
+are copied to the host and back for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar, Never
+
+import numpy as np
+
+from postfx.errors import FrameError, ModelError, PassOptionError
+from postfx.frame import DEPTH_MISS, LOG, FrameSpec, Role
+from postfx.kernels.occlusion import CAMERA, HORIZONS, SMOOTH, SURFACE
+from postfx.passes import Pass, Reflection, ResidentFrame
+from postfx.runtime import (
+    ArgumentTable,
+    CommandBuffer,
+    Device,
+    Library,
+    PipelineState,
+    Tensor,
+    has_networks,
+)
+from postfx.runtime.model_file import parse_model
+from postfx.system import in_bands
+
+# What they share -----------------------------------------------------------------------------------
+
+ALL = ("compute", "machine-learning")
+"""Stages that commands wait for, and that wait for them."""
+
+
+class _Linear(Pass):
+    """A pass that needs light of the scene."""
+
+    def skip(self, spec: FrameSpec) -> str | None:
+        if spec.encoding != "scene-linear":
+            return f"colour is {spec.encoding}, and '{self.name}' works on light of the scene"
+        return self._missing(spec)
+
+    def _missing(self, spec: FrameSpec) -> str | None:
+        """Why it would change nothing for frames with these planes."""
+        raise NotImplementedError
+
+    def _dispatch(self, commands: CommandBuffer, label: str, table: ArgumentTable) -> None:
+        """Record a command after all before it."""
+        network = isinstance(table.state, PipelineState)
+        if network:
+            with commands.machine_learning_encoder(label) as encoder:
+                encoder.barrier(after=ALL, before=ALL)
+                encoder.dispatch_network(table.state, table)
+            return
+        with commands.compute_encoder(label) as kernels:
+            kernels.barrier(after=ALL, before=ALL)
+            kernels.dispatch(table.state, table)
+
+
+def _missing_planes(spec: FrameSpec, roles: tuple[Role, ...]) -> str | None:
+    lacking = [str(role) for role in roles if not spec.has(role)]
+    if not lacking:
+        return None
+    return f"no plane {', '.join(lacking)} here; those of the render are there with before=denoise_upscale"
+
+
+def _find_model(pass_name: str, model: str) -> tuple[Library, str, tuple[str, ...]]:
+    """The library and name of a model file, and the names of its inputs.
+
+    Raises PassOptionError when there is no such file, ModelError when it is damaged.
+    """
+    path = Path(model).expanduser()
+    if path.suffix != ".onnx" or not path.is_file():
+        raise PassOptionError(f"pass '{pass_name}' finds no model '{model}': give an ONNX file")
+    library = Library(path.parent)
+    return library, path.stem, tuple(value.name for value in parse_model(library.load(path.stem)).inputs)
+
+
+# Ambient occlusion ---------------------------------------------------------------------------------
+
+GRID = 16
+"""Sides of what the network sees are multiples of this."""
+SETTINGS = np.array([0.9, 0.0], np.float32)
+"""Of GTAO: share of the radius from which on surfaces count less, and how thin they are."""
+USUAL_RADIUS = 0.125
+"""Share of the median depth."""
+USUAL_FOV = 45.0
+"""Degrees, where the file tells no field of view."""
+TO_US = np.array([-1.0, 1.0, -1.0])
+"""The camera's axes of frames point left, up and forward, the kernels' right, up and back."""
+MODEL = "occlusion"
+
+
+class Occlusion(_Linear):
+    """Darkens what little light of the surroundings can reach: ambient occlusion, for renders without indirect light.
+
+    GTAO (Jimenez 2016) looks at depth and normals; a network (1.09 million parameters) corrects it. Where no network
+    can run, GTAO alone is used. Without normals, or a camera in the file that turns them, they come from depth.
+
+    Options:
+        radius: how far surfaces occlude, in scene units; None: an eighth of the median depth.
+        strength: from 0, nothing, to 1, colour times visibility.
+        network: False for GTAO alone.
+
+    Raises PassOptionError for a radius or strength out of range.
+    """
+
+    name: ClassVar[str] = "occlusion"
+
+    def __init__(self, *, radius: float | None = None, strength: float = 1.0, network: bool = True,
+                 **unknown: Never) -> None:
+        super().__init__(radius=radius, strength=strength, network=network, **unknown)
+        if radius is not None and not 0 < radius < np.inf:
+            raise PassOptionError(f"pass 'occlusion' has the radius {radius:g}: give one above 0")
+        if not 0 <= strength <= 1:
+            raise PassOptionError(f"pass 'occlusion' has the strength {strength:g}: give 0 to 1")
+        self._choice: str | None = None
+        self._told = False
+
+    def reflect(self, spec: FrameSpec) -> Reflection:
+        return Reflection(reads=(Role.COLOUR, Role.DEPTH), may_read=(Role.NORMAL,), writes=(Role.COLOUR,), output=spec)
+
+    def _missing(self, spec: FrameSpec) -> str | None:
+        if self.options["strength"] == 0:
+            return "its strength is 0"
+        return _missing_planes(spec, (Role.COLOUR, Role.DEPTH))
+
+    def choice(self) -> str | None:
+        """'network' or 'gtao'."""
+        return self._choice
+
+    def compile(self, device: Device, spec: FrameSpec) -> None:
+        rows, columns = (-(-side // GRID) * GRID for side in (spec.height, spec.width))
+        state = self._find_network(device, rows, columns) if self.options["network"] else None
+        self._choice = "gtao" if state is None else "network"
+        self._reads = ("depth", "normal") if spec.has(Role.NORMAL) else ("depth",)
+        shapes = {"normal": (rows, columns, 3), "depth": (rows, columns, 1), "camera": (CAMERA,),
+                  "raw": (rows, columns), "smooth": (rows, columns)}
+        made = {name: device.heap.transient(f"occlusion {name}", shape) for name, shape in shapes.items()}
+        self._turn = device.heap.tensor("camera", (CAMERA,))
+        given = ("turn", *(f"seen {name}" for name in self._reads))
+        looks = device.host_state("occlusion", given, tuple(shapes), self._look)
+        self._looks = ArgumentTable(looks, made | {"turn": self._turn})
+        visible = made["smooth"]
+        self._network: ArgumentTable | None = None
+        if state is not None:
+            visible = device.heap.transient("visible", (rows, columns))
+            self._network = ArgumentTable(state, made | {"visible": visible})
+        darkens = device.host_state("occlusion of colour", ("colour", "visible"), ("output",), self._darken)
+        output = device.heap.transient("occluded", (spec.height, spec.width, 3))
+        self._darkens = ArgumentTable(darkens, {"visible": visible, "output": output})
+        super().compile(device, spec)
+
+    def _find_network(self, device: Device, rows: int, columns: int) -> PipelineState | None:
+        if not has_networks():
+            return None
+        try:
+            return device.pipeline_state(Library(), MODEL, {"height": rows, "width": columns})
+        except ModelError as error:
+            LOG.warning("pass 'occlusion' takes GTAO alone: %s", error)
+            return None
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        super().encode(commands, frame)
+        if frame.world_to_camera is None and not self._told:
+            LOG.warning("frame %s has no camera in its file: occlusion takes normals from depth", frame.number)
+            self._told = True
+        self._turn.put(_turn_of(frame))
+        for name in self._reads:
+            self._looks[f"seen {name}"] = frame[Role(name)]
+        self._dispatch(commands, "surroundings", self._looks)
+        if self._network:
+            self._dispatch(commands, "visibility", self._network)
+        self._darkens["colour"] = frame[Role.COLOUR]
+        self._dispatch(commands, "darkening", self._darkens)
+        frame.set(Role.COLOUR, self._darkens["output"])
+
+    def _look(self, turn: np.ndarray, depth: np.ndarray, *others: np.ndarray) -> None:
+        """What the network reads: planes with sides that it takes, the camera, and GTAO's visibility, raw and
+        smooth."""
+        *normals, normal, far, camera, raw, smooth = others
+        middle = _middle(depth.shape, raw.shape)
+        normal[...], far[...] = 0, DEPTH_MISS
+        far[middle] = depth
+        camera[:] = turn
+        camera[:9] = np.eye(3, dtype=np.float32).ravel()  # the network has learnt from normals that are turned
+        normal[middle] = normals[0] @ turn[:9].reshape(3, 3) if normals and turn[:9].any() \
+            else _normals_of(depth[..., 0], turn[10:])
+        camera[9] = self.options["radius"] or _usual_radius(depth)
+        camera[10] *= np.float32(raw.shape[1] / depth.shape[1])  # a larger picture shows more
+        camera[11] *= np.float32(raw.shape[0] / depth.shape[0])
+        surface = np.empty((*raw.shape, 4), np.float32)
+        height = len(raw)
+        in_bands(height, SURFACE.rows, normal, far, camera, surface)
+        in_bands(height, HORIZONS.rows, surface, camera, SETTINGS, raw)
+        in_bands(height, SMOOTH.rows, surface, raw, smooth)
+
+    def _darken(self, colour: np.ndarray, visible: np.ndarray, output: np.ndarray) -> None:
+        seen = np.clip(visible[_middle(colour.shape, visible.shape)][..., None], 0, 1)
+        np.multiply(colour, 1 - np.float32(self.options["strength"]) * (1 - seen), out=output)
+
+
+def _middle(inner: tuple[int, ...], outer: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns in the middle of a larger picture, so that both have one view axis."""
+    firsts = [(large - small) // 2 for small, large in zip(inner[:2], outer, strict=True)]
+    rows, columns = (slice(first, first + side) for first, side in zip(firsts, inner, strict=False))
+    return rows, columns
+
+
+def _turn_of(frame: ResidentFrame) -> np.ndarray:
+    """Numbers of a frame's camera as kernels want them, without a radius; a turn of zeros where it is not known."""
+    height, width = frame.spec.height, frame.spec.width
+    tangent = np.tan(np.radians(frame.fov_x or USUAL_FOV) / 2)
+    turn = np.zeros(9)
+    if frame.world_to_camera is not None:
+        turn = (np.asarray(frame.world_to_camera)[:3, :3] * TO_US).ravel()
+    return np.array([*turn, 0, tangent, tangent * height / width], np.float32)
+
+
+def _usual_radius(depth: np.ndarray) -> np.float32:
+    hit = depth[(depth > 0) & (depth < DEPTH_MISS)]
+    return np.float32(USUAL_RADIUS * np.median(hit) if hit.size else 1)
+
+
+def _normals_of(depth: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+    """Normals (h, w, 3) in camera space of the surface that depth draws. To each side the nearer neighbour counts, so
+    that edges stay sharp."""
+    height, width = depth.shape
+    across = ((np.arange(width) + 0.5) / width * 2 - 1) * tangents[0]
+    down = (1 - (np.arange(height) + 0.5) / height * 2) * tangents[1]
+    known = np.where((depth > 0) & (depth < DEPTH_MISS), depth, 0).astype(np.float64)
+    place = np.stack([across * known, down[:, None] * known, -known], -1)
+    slopes = [_slope(place, axis) for axis in (1, 0)]
+    normal = np.cross(slopes[1], slopes[0])  # rows go down
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    there = (length > 0) & (known > 0)[..., None]
+    found: np.ndarray = np.divide(normal, length, out=np.zeros_like(normal), where=there)
+    return found.astype(np.float32, copy=False)
+
+
+def _slope(place: np.ndarray, axis: int) -> np.ndarray:
+    """From pixel to pixel along an axis, to the neighbour whose depth is nearer."""
+    if place.shape[axis] == 1:
+        return np.zeros_like(place)
+    steps = np.diff(place, axis=axis)
+    first, last = steps.take([0], axis), steps.take([-1], axis)
+    before, after = np.concatenate([first, steps], axis), np.concatenate([steps, last], axis)
+    nearer: np.ndarray = np.where(np.abs(before[..., 2:]) < np.abs(after[..., 2:]), before, after)
+    return nearer
+
+
+# Networks of one scene -----------------------------------------------------------------------------
+
+BRIGHTEST = 1e6
+"""Irradiance that a network may give at most."""
+
+
+class Irradiance(_Linear):
+    """Lights surfaces by a network of one scene: colour becomes diffuse albedo times the irradiance of the normal / pi.
+
+    `python -m training.irradiance` trains it. Misses, and what reflects nothing diffusely, keep their colour.
+
+    Options:
+        model: ONNX file; without one the pass does nothing.
+
+    Raises PassOptionError when there is no such file, ModelError when it is none of such a network.
+    """
+
+    name: ClassVar[str] = "irradiance"
+
+    def __init__(self, *, model: str | None = None, **unknown: Never) -> None:
+        super().__init__(model=model, **unknown)
+        self._found = None if model is None else _find_model(self.name, model)
+        if self._found and self._found[2] != ("points",):
+            raise ModelError(f"model '{model}' reads {', '.join(self._found[2])}, where pass 'irradiance' has points: "
+                             "train one by python -m training.irradiance")
+
+    def reflect(self, spec: FrameSpec) -> Reflection:
+        reads = (Role.COLOUR, Role.NORMAL, Role.DIFFUSE_ALBEDO)
+        return Reflection(reads=reads, writes=(Role.COLOUR,), output=spec)
+
+    def _missing(self, spec: FrameSpec) -> str | None:
+        if self._found is None:
+            return "no model is given"
+        return _missing_planes(spec, (Role.COLOUR, Role.NORMAL, Role.DIFFUSE_ALBEDO))
+
+    def compile(self, device: Device, spec: FrameSpec) -> None:
+        assert self._found is not None  # or it is skipped
+        library, name, _ = self._found
+        count, new = spec.height * spec.width, device.heap.transient
+        points, values = new("points", (count, 3)), new("irradiance", (count, 3))
+        directions = device.host_state("directions", ("normal",), ("points",), _directions)
+        self._directions = ArgumentTable(directions, {"points": points})
+        network = device.pipeline_state(library, name, {"points": count})
+        self._network = ArgumentTable(network, {"points": points, "values": values})
+        lights = device.host_state("light of surfaces", ("colour", "normal", "albedo", "values"), ("output",), _lit)
+        output = new("lit", (spec.height, spec.width, 3))
+        self._lights = ArgumentTable(lights, {"values": values, "output": output})
+        super().compile(device, spec)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        super().encode(commands, frame)
+        self._directions["normal"] = self._lights["normal"] = frame[Role.NORMAL]
+        self._lights["colour"], self._lights["albedo"] = frame[Role.COLOUR], frame[Role.DIFFUSE_ALBEDO]
+        for table in (self._directions, self._network, self._lights):
+            self._dispatch(commands, "irradiance", table)
+        frame.set(Role.COLOUR, self._lights["output"])
+
+
+def _directions(normal: np.ndarray, points: np.ndarray) -> None:
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    np.divide(normal, np.maximum(length, 1e-6), out=points.reshape(normal.shape))
+
+
+def _lit(colour: np.ndarray, normal: np.ndarray, albedo: np.ndarray, values: np.ndarray, output: np.ndarray) -> None:
+    shines = ((normal ** 2).sum(-1) > 0.01) & (albedo.max(-1) > 0)
+    light = np.exp(np.minimum(values.reshape(colour.shape), np.float32(np.log(BRIGHTEST))))
+    output[...] = np.where(shines[..., None], albedo * light / np.float32(np.pi), colour)
+
+
+PLANES = {"diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1, "depth": 1, "motion": 2, "colour": 3}
+"""Planes that a network of a scene may read, with their channels."""
+STATE = 7
+"""Numbers of a pixel that a network with history hands on."""
+FACTS = 16
+"""Numbers of its camera: place and axes (4 x 3), tangents of half the field of view, jitter."""
+
+
+class SceneShading(_Linear):
+    """Shades frames by a network that knows one scene, from their planes.
+
+    Some kinds also read what they made of the frame before, or a noisy colour.
+    `python -m training.scene_network` trains all three kinds. Frames need the camera and its field of view.
+
+    Options:
+        model: ONNX file; without one the pass does nothing.
+
+    Raises PassOptionError when there is no such file, ModelError when it is none of such a network.
+    """
+
+    name: ClassVar[str] = "scene_shading"
+
+    def __init__(self, *, model: str | None = None, **unknown: Never) -> None:
+        super().__init__(model=model, **unknown)
+        self._found = None if model is None else _find_model(self.name, model)
+        self._inputs = self._found[2] if self._found else ()
+        strange = [name for name in self._inputs if name not in (*PLANES, "camera", "before")]
+        if strange or (self._found and "camera" not in self._inputs):
+            raise ModelError(f"model '{model}' reads {', '.join(self._inputs)}, which is no network of a scene: train "
+                             "one by python -m training.scene_network")
+        self._states: list[Tensor] = []
+        self._fresh = True
+
+    def reflect(self, spec: FrameSpec) -> Reflection:
+        reads = tuple(dict.fromkeys((Role.COLOUR, *map(Role, self._planes()))))
+        return Reflection(reads=reads, writes=(Role.COLOUR,), output=spec)
+
+    def _planes(self) -> list[str]:
+        return [name for name in self._inputs if name in PLANES]
+
+    def _missing(self, spec: FrameSpec) -> str | None:
+        if self._found is None:
+            return "no model is given"
+        return _missing_planes(spec, (Role.COLOUR, *map(Role, self._planes())))
+
+    def accumulates(self, spec: FrameSpec) -> bool:
+        return "before" in self._inputs
+
+    def compile(self, device: Device, spec: FrameSpec) -> None:
+        assert self._found is not None  # or it is skipped
+        library, name, _ = self._found
+        size = spec.height, spec.width
+        network = device.pipeline_state(library, name, {"height": spec.height, "width": spec.width})
+        self._camera = device.heap.tensor("camera", (FACTS,))
+        self._shaded = device.heap.transient("shaded", (*size, 3))
+        self._network = ArgumentTable(network, {"camera": self._camera, "shaded": self._shaded})
+        self._states = []
+        if "before" in self._inputs:
+            self._states = [device.heap.tensor(word, (*size, STATE)) for word in ("before", "after")]
+            self._nothing = device.heap.tensor("no history", (*size, STATE))
+            self._nothing.fill(0)
+        super().compile(device, spec)
+
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        super().encode(commands, frame)
+        self._camera.put(_facts_of(frame))
+        for name in self._planes():
+            self._network[name] = frame[Role(name)]
+        if self._states:
+            fresh = self._fresh or frame.reset
+            self._network["before"] = self._nothing if fresh else self._states[1]
+            self._states.reverse()
+            self._network["after"] = self._states[1]
+            self._fresh = False
+        self._dispatch(commands, "scene", self._network)
+        frame.set(Role.COLOUR, self._shaded)
+
+    def reset(self) -> None:
+        self._fresh = True
+
+    def history(self) -> dict[str, np.ndarray]:
+        return {} if self._fresh or not self._states else {"state": self._states[1].content()}
+
+    def recall(self, history: Mapping[str, np.ndarray]) -> None:
+        self._fresh = not history
+        if history:
+            self._states[1].upload(history["state"])
+
+
+def _facts_of(frame: ResidentFrame) -> np.ndarray:
+    """Place and axes of the camera, tangents and jitter. FrameError where the file does not tell them."""
+    if frame.world_to_camera is None or not frame.fov_x:
+        lacking = "field of view" if frame.world_to_camera is not None else "camera"
+        raise FrameError(f"frame {frame.number} has no {lacking} in its file, which pass 'scene_shading' needs: render "
+                         "with the camera's matrix and field of view in the header")
+    to_world = np.linalg.inv(np.asarray(frame.world_to_camera).T)
+    tangent = np.tan(np.radians(frame.fov_x) / 2)
+    ratio = frame.spec.height / frame.spec.width
+    return np.array([*to_world[:3, :4].T.ravel(), tangent, tangent * ratio, *frame.jitter], np.float32)

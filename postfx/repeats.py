@@ -1,0 +1,124 @@
+"""Noise that repeats from one frame to the next, as with one random seed for all frames.
+
+Noise that stays in its pixels while the picture hardly moves adds up along the motion like the picture itself: a
+history would take it for detail. Small squares spread over the picture are compared with the frame before, where it
+moves by less than a pixel. White light is looked at: colour without what the albedos explain, in parts of the square's
+own light, so that a lamp that changes is no difference. Its Laplacian leaves out slopes and edges (Immerkaer 1996,
+"Fast noise variance estimation"). A square repeats where this has hardly changed, and is white: in noise neighbours are
+independent, in textures they are not. Squares whose noise is new speak against it. So a picture without noise does not
+count, nor do many samples of a textured one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from postfx.colour import luminance
+from postfx.frame import Role
+
+SIDE = 12  # pixels of a square
+MOST_ROWS, MOST_COLUMNS = 9, 14
+"""Squares, spread over the picture."""
+SLOW = 0.75  # pixels: faster noise is met by other noise, and its mean is worth something
+NOISY, NEW = 0.002, 0.0005
+"""Least standard deviation, of 1/4 of the light, of noise that may repeat, and of noise that speaks against it."""
+WHITE = 0.5
+"""Least energy of the diagonal differences of noise in parts of the others': 0.9 in the median for 4 samples of Cycles,
+0.1 to 0.2 for textures and edges."""
+SAME, OTHER = 0.3, 0.6
+"""Energy of the change of noise, in parts of twice its own, up to which it is the same, from which on it is new."""
+LEAST_SHARE, LEAST_SQUARES = 0.05, 4
+"""Of the squares, that must repeat."""
+FLOOR = np.float32(0.03)  # of albedo: what is darker is as good as black
+DARK = np.float32(1e-6)
+ONE_SEED = ("the same random seed in every frame",
+            "change the seed with the frame number (Blender: Noise > Seed, clock icon; Mitsuba: seed of render)")
+"""The likely cause, and the fix."""
+
+
+class RepeatDetector:
+    """Call it with each frame's planes in order: whether its noise is that of the frame before, where things are slow.
+
+    Attributes:
+        share: of the squares looked at, those that repeat.
+    """
+
+    def __init__(self) -> None:
+        self._before: np.ndarray | None = None
+        self._size = (0, 0)
+        self.share = 0.0
+
+    def reset(self) -> None:
+        """Forget the frame before."""
+        self._before = None
+
+    def history(self) -> dict[str, np.ndarray]:
+        """What the next answer depends on beside its frame."""
+        known = {"size": np.array(self._size, np.int64)}
+        return {} if self._before is None else known | {"noise": self._before}
+
+    def recall(self, history: Mapping[str, np.ndarray]) -> None:
+        """Go on as a detector that had this `history`."""
+        self._before = history.get("noise")
+        self._size = tuple(history["size"].tolist()) if history else (0, 0)
+
+    def __call__(self, planes: Mapping[Role, np.ndarray]) -> bool:
+        """Of finite planes with scene-linear colour; without motion, nothing is known to be slow."""
+        size, last, self.share = planes[Role.COLOUR].shape[:2], self._before, 0.0
+        if min(size) < SIDE:
+            return False
+        light = self._light(planes)
+        self._before, known = laplacian(light), last is not None and self._size == size
+        self._size = size
+        if last is None or not known or Role.MOTION not in planes:
+            return False
+        moves = np.linalg.norm(squares(planes[Role.MOTION]), axis=-1).mean((-2, -1))
+        energy = (np.square(last).mean((-2, -1)) + np.square(self._before).mean((-2, -1))) / 2
+        change = np.square(self._before - last).mean((-2, -1)) / 2
+        slow = moves < SLOW
+        noisy = slow & (energy > NOISY**2) & (whiteness(light) > WHITE)
+        repeats = (noisy & (change < SAME * energy)).sum()
+        new = (slow & (change > OTHER * energy) & (change > NEW**2)).sum()
+        self.share = float(repeats / slow.size)
+        return bool(repeats >= LEAST_SQUARES and self.share >= LEAST_SHARE and repeats > 2 * new)
+
+    def _light(self, planes: Mapping[Role, np.ndarray]) -> np.ndarray:
+        """White light of the squares (rows, columns, SIDE, SIDE), 0 to 1, about 1/2 in the middle of each square."""
+        albedos = [squares(planes[role]) for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
+        colour = squares(planes[Role.COLOUR])
+        light = np.maximum(luminance(colour / np.maximum(sum(albedos), FLOOR) if albedos else colour), 0)
+        usual = np.median(light, axis=(-2, -1), keepdims=True) + light.mean((-2, -1), keepdims=True) / 8
+        result: np.ndarray = light / (light + usual + DARK)
+        return result
+
+
+def squares(plane: np.ndarray) -> np.ndarray:
+    """(rows, columns, SIDE, SIDE, channels) of a plane (height, width, channels)."""
+    (rows, down), (columns, right) = _places(plane.shape[0], MOST_ROWS), _places(plane.shape[1], MOST_COLUMNS)
+    some: np.ndarray = plane[down][:, right].reshape(rows, SIDE, columns, SIDE, -1).swapaxes(1, 2)
+    return some
+
+
+def _places(side: int, most: int) -> tuple[int, np.ndarray]:
+    """How many squares there are along a side, and their pixels."""
+    count = min(side // SIDE, most)
+    first = np.linspace(0, side - SIDE, count).astype(int)
+    return count, (first[:, None] + np.arange(SIDE)).ravel()
+
+
+def laplacian(light: np.ndarray) -> np.ndarray:
+    """Of (..., height, width), scaled so that white noise keeps its standard deviation."""
+    rows = light[..., :-2, :] - 2 * light[..., 1:-1, :] + light[..., 2:, :]
+    result: np.ndarray = (rows[..., :-2] - 2 * rows[..., 1:-1] + rows[..., 2:]) / np.float32(6)
+    return result
+
+
+def whiteness(light: np.ndarray) -> np.ndarray:
+    """(...) of (..., height, width): about 1 for white noise, 0 where neighbours are alike."""
+    a, b = light[..., :-1, :-1], light[..., :-1, 1:]
+    c, d = light[..., 1:, :-1], light[..., 1:, 1:]
+    across, down, diagonal = (np.square(one).mean((-2, -1)) for one in (a - b + c - d, a + b - c - d, a - b - c + d))
+    result: np.ndarray = 2 * diagonal / (across + down + DARK)
+    return result

@@ -1,0 +1,60 @@
+"""References of few samples become those of many, and a clip's other content stays."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from training.datagen import clean_references, formula  # noqa: E402
+from training.datagen.clip_file import load_clip, save_clip  # noqa: E402
+
+NETWORK = Path(__file__).parents[3] / "models" / "denoise_upscale.s.1x.onnx"
+FRAMES = 3
+SIDE = 64
+NOISE = 4.0  # shape of the gamma distribution that stands in for few samples
+
+
+def error(picture: np.ndarray, truth: np.ndarray) -> float:
+    """Mean squared error after x / (1 + x)."""
+    seen, wanted = (x.astype(np.float32) / (1 + x.astype(np.float32)) for x in (picture, truth))
+    return float(np.square(seen - wanted).mean())
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, np.ndarray]:
+    """A folder of one clip with a noisy reference in halves, and of one without halves; a folder for the cleaned
+    clips; the first one's true reference."""
+    raw, cleaned = tmp_path_factory.mktemp("raw"), tmp_path_factory.mktemp("cleaned")
+    torch.manual_seed(3)
+    drawn = formula.draw_clips(2, FRAMES, SIDE, 1.0, torch.device("cpu"))
+    rng = np.random.default_rng(5)
+    for number, (reference, variants, facts) in enumerate(drawn):
+        halves = [reference * rng.gamma(NOISE, 1 / NOISE, reference.shape) for _ in range(2)]
+        facts |= {"seed": number}
+        if number == 0:
+            truth = reference
+            variants = [*variants, variants[0] | {"colour": halves[0], "half": True, "spp": 32}]
+            facts |= {"half": halves[1]}
+            reference = (halves[0] + halves[1]) / 2
+        save_clip(raw / f"clip.{number:05d}.npz", reference, variants, facts)
+    return raw, cleaned, truth
+
+
+def test_references_lose_their_noise_and_files_move(folders: tuple[Path, Path, np.ndarray],
+                                                    capsys: pytest.CaptureFixture[str]) -> None:
+    raw, folder, truth = folders
+    before = {path.name: load_clip(path) for path in raw.glob("*.npz")}
+    assert clean_references.main([str(raw), str(folder), "--network", str(NETWORK), "--device", "cpu"]) == 0
+    assert capsys.readouterr().out.strip().endswith("2 clips, 1 of them cleaned")
+    assert not list(raw.iterdir())
+    after = {path.name: load_clip(path) for path in folder.iterdir()}
+    noisy, clean = before["clip.00000.npz"], after["clip.00000.npz"]
+    for name in ("reference", "half"):
+        assert error(clean[name], truth) < 0.5 * error(noisy[name], truth), name
+    same = set(noisy) - {"reference", "half", "meta"}
+    assert all(np.array_equal(noisy[name], clean[name]) for name in same)
+    plain = before["clip.00001.npz"]
+    moved = after["clip.00001.npz"]
+    assert all(np.array_equal(plain[name], moved[name]) for name in plain if name != "meta")

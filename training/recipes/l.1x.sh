@@ -1,0 +1,51 @@
+#!/usr/bin/env bash
+# Render, clean and train on one machine: the network for the render's own size, from the recipe of its data.
+#
+# usage: l.1x.sh WORK MINUTES [CHECKPOINT]
+#   WORK        folder for clips, logs and the run; WORK/run/checkpoint.pt is written every two minutes
+#   MINUTES     of the whole, of which the last fifth of the training lowers the rate
+#   CHECKPOINT  packed state to go on from (training.denoise.checkpoint pack)
+#
+#   BLENDER     Python with the module bpy and OpenImageIO (default: blender/run)
+#   LIBRARY     glTF scenes, environments/*.hdr and pages/*.png (default: library)
+#   SEED        of the clips: another one for each session, below 9000 (default: 1)
+#   PROCESSES   of Blender (default: 26)
+#
+# With two GPUs the second one renders until the rate falls; with one, rendering ends before the training begins, as a
+# training beside ten rendering processes stands still.
+set -euo pipefail
+work=$1 minutes=$2 checkpoint=${3:-}
+blender=${BLENDER:-blender/run} library=${LIBRARY:-library} seed=${SEED:-1} processes=${PROCESSES:-26}
+gpus=$(nvidia-smi -L | wc -l)
+python=${PYTHON:-python3}
+mkdir -p "$work/logs"
+began=$(date +%s)
+
+# Minutes of rendering before the training begins: it compiles meanwhile if there is a GPU for each.
+if [ "$gpus" -gt 1 ]; then
+    renderer=1 head=1 rendering=$((minutes * 4 / 5))
+else
+    renderer=0 head=$((minutes / 4)) rendering=$head
+fi
+views=(--out "$work/raw" --gpus "$renderer" --processes-per-gpu "$processes" --minutes "$rendering" --seed "$seed"
+    --blender "$blender" --real "$library" --clips 8000 --report 20
+    --even-spp 64 --half-samples 48 --frames 5 --width 400 --height 224 --scale 1)
+small=(--out "$work/mitsuba" --gpus 0 --processes-per-gpu 7 --minutes "$head" --seed "$((seed + 1))"
+    --real "$library" --clips 4000 --report 20 --even-spp 64 --frames 5 --width 128 --height 128 --scale 1)
+
+CUDA_VISIBLE_DEVICES=0 "$python" -m training.datagen.formula --out "$work/formula" --clips 96 --frames 5 --scale 1 \
+    --seed "$seed" >"$work/logs/formula.log" 2>&1 &
+"$python" -m training.datagen.render "${small[@]}" >"$work/logs/mitsuba.log" 2>&1 &
+"$python" -m training.datagen.render "${views[@]}" >"$work/logs/cycles.log" 2>&1 &
+mkdir -p "$work/raw"
+"$python" -m training.datagen.clean_references "$work/raw" "$work/views" --network models/denoise_upscale.m.1x.onnx \
+    --watch "$((rendering + 1))" --device "cuda:$renderer" >"$work/logs/clean.log" 2>&1 &
+
+sleep "$((60 * head))"
+left=$((60 * minutes - $(date +%s) + began))
+CUDA_VISIBLE_DEVICES=0 "$python" -m training.denoise.train --clips "$work/views=3" "$work/mitsuba=2" "$work/formula" \
+    --out "$work/run" --minutes "$("$python" -c "print($left / 60)")" --cool 0.2 \
+    --residual --widths 32 80 112 144 176 --trust --volumes --batch 16 --crop 128 --rate 5e-4 \
+    --even 16 --clean 0 --reset 0.07 --light 1.5 0.5 --reflectance 0.5 --false-motion 0.1 --sparse-planes 0.15 \
+    --wait 32 ${checkpoint:+--continue "$checkpoint"} >"$work/logs/train.log" 2>&1
+wait
