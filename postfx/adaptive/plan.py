@@ -17,7 +17,7 @@ import numpy as np
 
 from postfx.errors import OptionError
 
-SLOPE = 0.65
+SLOPE = 0.5
 """By which power of its samples the squared error of a denoised tile falls, see docs/howto/render_more.md."""
 MOST = 8
 """How many times its samples a tile gets at most in one round: predictions further on say little."""
@@ -25,7 +25,7 @@ FEWEST = 4
 """Samples below which a render of a tile does not pay."""
 QUALITIES = {"draft": 30.0, "visible": 36.0, "fine": 42.0}
 """Word -> PSNR of the displayed picture in dB, which each tile is to reach."""
-FLIP_AT = {30.0: 0.087, 36.0: 0.053, 42.0: 0.032}
+FLIP_AT = {30.0: 0.086, 36.0: 0.052, 42.0: 0.031}
 """PSNR of a denoised tile -> its mean FLIP, to which 'flip=' refers."""
 
 
