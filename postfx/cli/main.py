@@ -19,6 +19,8 @@ VERBS = {
     "interpolate": "make frames between the frames of a sequence",
     "watch": "preview frames while a renderer writes them",
     "merge": "merge renders that differ in their seed, weighted by samples",
+    "samples": "say where a shot needs more samples",
+    "loop": "render, denoise, and render again where that pays",
     "chunks": "cut a sequence into chunks for the machines of a farm",
     "verify": "check that the files of a run are there, whole and unaltered",
     "inspect": "find what is wrong with a sequence's AOVs",
@@ -30,7 +32,7 @@ VERBS = {
     "capture-compare": "find the first tensor in which two captures differ",
 }
 """Verb -> what it does, as in `postfx --help`. The module of its name is loaded when it is called."""
-FORWARDING = ("watch", "chunks")
+FORWARDING = ("watch", "loop", "chunks")
 """Verbs that hand options of `postfx run` on, which stand behind --."""
 SHELLS = ("bash", "zsh", "fish", "powershell")
 EXIT_ERROR = 2

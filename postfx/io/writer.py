@@ -150,6 +150,30 @@ def write_frame(
     return path
 
 
+def write_channels(
+    path: str | PathLike[str],
+    channels: Mapping[str, np.ndarray],
+    attributes: Mapping[str, str | int | float] | None = None,
+    at: tuple[int, int] = (0, 0),
+    full: tuple[int, int] | None = None,
+) -> Path:
+    """Write planes (height, width) under the names of their channels into an EXR of 32-bit floats; returns the path.
+
+    at, full: column and row of the planes in a larger picture, and its width and height, as for a region of a render.
+    """
+    path, planes = Path(path), [np.asarray(plane, np.float32) for plane in channels.values()]
+    height, width = planes[0].shape
+    spec = oiio.ImageSpec(width, height, len(planes), "float")
+    spec.channelnames = tuple(channels)
+    spec.x, spec.y = at
+    spec.full_width, spec.full_height = full or (width, height)
+    spec.attribute("compression", "zip")
+    set_attributes(spec, attributes or {})
+    with output_file(path) as temporary:
+        encode(temporary, ".exr", spec, lambda rows: np.stack([plane[rows] for plane in planes], axis=2), None)
+    return path
+
+
 _LIMITS = (None, 60000, 52000, 40000, 24000)
 """Light at which pictures are cut, one after the other, until DWA compression, which errs by some percent of what is
 around a pixel, leaves all within half floats."""

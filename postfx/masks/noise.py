@@ -241,7 +241,7 @@ def converged_in_bands(
 
     relax: called after each band.
     """
-    unit = _unit(planes.get(Role.SAMPLE_COUNT), samples)
+    unit = count_unit(planes.get(Role.SAMPLE_COUNT), samples)
     seen = {role: planes[role] for role in ERROR_READS if role in planes}
     for first, last, top, bottom in bands(planes[Role.COLOUR].shape[0], POOLED + 2 * SOFT):
         band = {role: plane[top:bottom] for role, plane in seen.items()}
@@ -260,7 +260,7 @@ def _variance(roles: Collection[Role]) -> Role | None:
     return next((role for role in VARIANCES if role in roles), None)
 
 
-def _unit(count: np.ndarray | None, samples: int | None) -> np.float32:
+def count_unit(count: np.ndarray | None, samples: int | None) -> np.float32:
     """Number of samples for the value 1 in the plane of counts: the header's number if the plane holds shares of it, as
     Cycles may write, or if there is no plane."""
     is_share = count is None or (bool(samples) and count.max(initial=0) <= 1)

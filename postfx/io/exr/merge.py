@@ -34,7 +34,9 @@ from postfx.io.exr.container import FLOAT, HALF, ExrContainer, NewPart, picture_
 from postfx.io.exr.passthrough import resize_header
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.layout import Header as Facts
+from postfx.io.render_time import AVERAGED, SUMMED, format_time, parse_time
 from postfx.io.windows import PICTURE, Part, Window
+from postfx.masks.noise import count_unit
 
 
 class Rule(StrEnum):
@@ -75,8 +77,6 @@ _MOST = 65504
 _BLOCK = 64
 """Rows that are looked at together."""
 _SAMPLES = re.compile(r"cycles\..+\.samples|postfx:spp|samplesPerPixel")
-_SUMMED = re.compile(r"cycles\..+\.(render|total)_time|RenderTime|vrayInfo/rendertime")
-_AVERAGED = re.compile(r"cycles\..+\.synchronization_time")
 _SPP, _MERGED = "postfx:spp", "postfx:merged"
 _COUNT_NAME = "sample_count.Y"
 
@@ -113,12 +113,11 @@ class Render:
 
     Attributes:
         samples: a pixel, where the file says no more.
-        counts_shares: whether its plane of counts holds shares of `samples`, as Cycles writes it.
         lit: the rectangle that it was rendered in, None for all.
     """
 
     def __init__(self, path: Path, samples: int | None, profile: str | None) -> None:
-        self.path, self.counts_shares = path, False
+        self.path = path
         self._stack = ExitStack()
         if path.suffix.lower() != ".exr":
             raise ReadError(f"{path}: only OpenEXR files are merged: write the render as EXR")
@@ -147,11 +146,9 @@ class Render:
         if Role.SAMPLE_COUNT in layout.planes:
             (channel,) = self._files.match(Role.SAMPLE_COUNT).channels
             stored = self.file.read_stored(channel.part, [channel.name], 0, channel.part.data.height)[0]
-            self.counts_shares = stored.max(initial=0) <= 1 and layout.profile.name.startswith("cycles")
-            if not self.counts_shares or self.samples:
-                scale = self.samples if self.counts_shares else 1
-                self._counts = channel.part.data, np.maximum(stored.astype(np.float32), 0) * np.float32(scale)
-                self.samples = self.samples or int(np.rint(self._counts[1].max(initial=0)))
+            counts = np.maximum(stored.astype(np.float32), 0) * count_unit(stored, self.samples)
+            self._counts = channel.part.data, counts
+            self.samples = self.samples or int(np.rint(counts.max(initial=0)))
         if not self.samples:
             raise ReadError(f"{self.path}: its header does not say how many samples a pixel it has: give --samples "
                             "with a number for each file, such as --samples 16,64")
@@ -207,7 +204,7 @@ class Render:
         for name in names:
             if own := self.find(part, name):
                 sources.setdefault(own, []).append(name)
-        found = {}
+        found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         for own, held in sources.items():
             if not (inside := own.data.common(window)):
                 nothing = np.zeros(_shape(window), np.float32), np.zeros(_shape(window), bool)
@@ -368,10 +365,10 @@ class _Merge:
                 each = [render.samples for render in self._renders]
             if name in main or _SAMPLES.fullmatch(name):
                 _set_number(header, name, attribute.kind, sum(int(float(value or 0)) for value in each))
-            elif _SUMMED.fullmatch(name) or _AVERAGED.fullmatch(name):
-                seconds = [_seconds(str(value)) for value in each]
-                count = len(seconds) if _AVERAGED.fullmatch(name) else 1
-                header.set_text(name, _time_like(text(attribute.value), sum(seconds) / count))
+            elif SUMMED.fullmatch(name) or AVERAGED.fullmatch(name):
+                seconds = [parse_time(str(value)) for value in each]
+                count = len(seconds) if AVERAGED.fullmatch(name) else 1
+                header.set_text(name, format_time(sum(seconds) / count, text(attribute.value)))
         if is_picture and not main & header.attributes.keys():
             _set_number(header, _SPP, "int", self.samples)
         if is_picture:
@@ -458,23 +455,3 @@ def _set_number(header: Header, name: str, kind: str, value: int) -> None:
         header.set(name, kind, pack[kind]())
     else:
         header.set_text(name, str(value))
-
-
-def _seconds(time: str) -> float:
-    """Seconds of '01:02.50', '1:02:03.45' and V-Ray's '0h  1m  2.5s'; 0 for anything else."""
-    try:
-        seconds = 0.0
-        for word in re.split(r":|[hm]\s*", time.strip().rstrip("s")):
-            seconds = 60 * seconds + float(word)
-        return seconds
-    except ValueError:
-        return 0.0
-
-
-def _time_like(model: str, seconds: float) -> str:
-    """Seconds in the way that another time is written."""
-    minutes, rest = divmod(seconds, 60)
-    hours, minutes = divmod(int(minutes), 60)
-    if "h" in model:
-        return f"{hours}h {minutes:2d}m {rest:4.1f}s"
-    return (f"{hours:02d}:" if hours else "") + f"{minutes:02d}:{rest:05.2f}"

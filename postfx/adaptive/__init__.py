@@ -1,0 +1,1 @@
+"""Where a shot needs more samples: the error of its denoised frames, and how many samples bring it to a quality."""

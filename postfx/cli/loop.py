@@ -1,0 +1,221 @@
+"""`postfx loop`: renders, denoises, and renders again where that pays, until a shot is good enough."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import shlex
+import subprocess
+import sys
+import time
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+from postfx.cli.options import Option, Options, Section, parse_from_zero, parse_positive
+from postfx.cli.samples import SAMPLES
+
+DESCRIPTION = """\
+Render a shot with few samples, denoise it, render again the tiles that need more, merge, and so on until all tiles have
+the quality, the budget is used up, or all rounds are done. Any renderer takes part: --render is a command that renders
+the pictures and regions of a JSON file, whose name replaces {jobs}. Scripts for Blender and Mitsuba come with postfx;
+docs/howto/render_more.md describes the file for others.
+
+OUTPUT always holds the denoised frames of the last round. The merged renders and a log are in --work. A loop that was
+stopped goes on from there. Options of 'postfx run' may follow --.
+"""
+EXAMPLES = """\
+examples:
+  postfx loop --frames 1-8 --samples 16 --quality visible -o 'clean/####.exr' \\
+    --render 'blender -b shot.blend -P hosts/loop/render_blender.py -- {jobs}'
+  postfx loop --frames 1 --samples 16 --budget 64 --rounds 4 -o 'clean/####.exr' \\
+    --render 'python hosts/loop/render_mitsuba.py scene.xml {jobs}'
+  postfx loop --frames 1-8 --samples 16 -o 'clean/####.exr' --render 'my_farm.sh {jobs}' -- --model l
+"""
+JOBS = "{jobs}"
+SEEDS = 1009
+"""Seeds between two rounds, so that no frame of a later round has the seed of another one of an earlier round, in shots
+that are not longer."""
+
+LOOP = Options(Section("", (
+    Option(flag="--render", metavar="COMMAND", help="renders what the JSON file {jobs} lists"),
+    Option(flag="--output", short="-o", metavar="OUTPUT", help="denoised EXR files: a pattern like clean/####.exr"),
+    Option(flag="--frames", metavar="RANGE", default="1", help="frames of the shot (default: 1)"),
+    Option(flag="--samples", metavar="N", type=parse_positive, default=16,
+           help="samples a pixel of the first round (default: 16)"),
+    SAMPLES["--quality"],
+    Option(flag="--budget", metavar="N", type=parse_from_zero,
+           help="samples a pixel of all later rounds together, in the mean of the shot (default: no limit)"),
+    Option(flag="--rounds", metavar="N", type=parse_positive, default=4,
+           help="rounds at most after the first one (default: 4)"),
+    SAMPLES["--tile"],
+    Option(flag="--work", metavar="DIR", help="folder of the renders (default: a folder loop beside OUTPUT)"),
+    Option(flag="--overwrite", help="replace output files that are there"),
+    Option(flag="--json", help="print one JSON object"),
+)))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this verb's arguments."""
+    LOOP.add_to(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Run rounds until the shot is done; returns the exit code."""
+    loop = Loop(arguments)
+    for line in loop.run():
+        print(line, file=sys.stderr, flush=True)
+    print(json.dumps(loop.as_dict()) if arguments.json else loop.text())
+    return 0
+
+
+class Loop:
+    """A shot that is rendered in rounds. Raises PostfxError where something does not fit together or fails."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        from postfx.errors import OptionError, WriteError
+        from postfx.io.pattern import parse_frames, parse_pattern
+        from postfx.io.writer import check_folder, is_display_format
+
+        if not arguments.render or JOBS not in arguments.render:
+            raise OptionError("--render: give a command with {jobs} in it, such as --render 'my_render {jobs}'")
+        if not arguments.output:
+            raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o 'clean/####.exr'")
+        pattern = parse_pattern(arguments.output)
+        if not pattern.is_numbered or is_display_format(str(pattern)):
+            raise WriteError(f"{arguments.output}: give EXR files with a frame number, such as clean/####.exr")
+        self._arguments, self._numbers = arguments, parse_frames(arguments.frames)
+        self._work = Path(arguments.work or pattern.path(1).parent / "loop")
+        check_folder(self._work, "work")
+        self._state = self._work / "loop.json"
+        self.rounds: list[dict[str, Any]] = json.loads(self._state.read_text()) if self._state.exists() else []
+        taken = [path for number in self._numbers if (path := pattern.path(number)).exists()]
+        if taken and not (arguments.overwrite or self.rounds):
+            raise WriteError(f"{taken[0]}: is already there: give --overwrite")
+        self.done = ""
+
+    def run(self) -> Any:
+        """All rounds; yields a line for each."""
+        if not self.rounds:
+            seconds = self._render([self._job(number, 0, None, self._arguments.samples) for number in self._numbers], 0)
+            for number in self._numbers:
+                self._file("round0", number).replace(self._merged(number))
+            self._finish_round(seconds, 0.0)
+            yield self._line()
+        while not (self.done or self._is_done()):
+            count, plan = len(self.rounds), self._plan
+            jobs = [self._job(frame["frame"], count, region, region["samples"], index)
+                    for frame in plan["frames"] for index, region in enumerate(frame["regions"])]
+            seconds = self._render(jobs, count)
+            for number in self._numbers:
+                self._merge(number, [Path(job["output"]) for job in jobs if job["frame"] == number])
+            self._finish_round(seconds, plan["more_samples"])
+            yield self._line()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The loop for programs."""
+        return {"output": self._arguments.output, "renders": str(self._work / "merged"), "done": self.done,
+                "rounds": [{key: value for key, value in one.items() if key != "plan"} for one in self.rounds]}
+
+    def text(self) -> str:
+        """The loop for people."""
+        last = self.rounds[-1]
+        return (f"wrote    {self._arguments.output}: {last['samples']:.1f} samples a pixel in the mean, about "
+                f"{last['psnr']:.1f} dB; {self.done}")
+
+    @property
+    def _plan(self) -> dict[str, Any]:
+        found: dict[str, Any] = self.rounds[-1]["plan"]
+        return found
+
+    def _is_done(self) -> bool:
+        """Whether nothing is left to render, and why."""
+        if not any(frame["regions"] for frame in self._plan["frames"]):
+            is_reached = self._plan["tiles_done"] >= 1
+            self.done = "all tiles have the quality" if is_reached else "the budget is used up"
+        elif len(self.rounds) > self._arguments.rounds:
+            self.done = f"all rounds are done, and {self._plan['tiles_done']:.0%} of the tiles would be after another"
+        return bool(self.done)
+
+    def _line(self) -> str:
+        last = self.rounds[-1]
+        return (f"round {len(self.rounds) - 1}: {last['samples']:.1f} samples a pixel, about {last['psnr']:.1f} dB, "
+                f"{last['render_seconds']:.0f} s of rendering, {last['denoise_seconds']:.0f} s of denoising")
+
+    def _job(self, number: int, count: int, region: dict[str, int] | None, samples: int, index: int = 0
+             ) -> dict[str, Any]:
+        """One picture or region to render."""
+        path = self._file(f"round{count}", number, "" if region is None else f".region{index}")
+        box = None if region is None else {key: region[key] for key in ("x", "y", "width", "height")}
+        return {"frame": number, "region": box, "samples": samples, "seed": SEEDS * count + number,
+                "output": str(path.absolute())}
+
+    def _render(self, jobs: list[dict[str, Any]], count: int) -> float:
+        """Let the renderer work; returns the seconds that it took."""
+        from postfx.errors import MissingFrameError, RunError
+        from postfx.files import write_text
+
+        path, log = self._work / f"round{count}.json", self._work / f"round{count}.log"
+        for job in jobs:
+            Path(job["output"]).parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, json.dumps({"jobs": jobs}, indent=1))
+        words = [word.replace(JOBS, str(path.absolute())) for word in shlex.split(self._arguments.render)]
+        begin = time.perf_counter()
+        try:
+            with log.open("wb") as output:
+                code = subprocess.run(words, stdout=output, stderr=subprocess.STDOUT, check=False).returncode
+        except OSError as error:
+            reason = error.strerror or error
+            raise RunError(f"--render: {words[0]} cannot be started: {reason}; check its name") from error
+        if code:
+            raise RunError(f"--render: the renderer ended with {code}: {log} says why")
+        for job in jobs:
+            if not Path(job["output"]).exists():
+                raise MissingFrameError(f"{job['output']}: the renderer did not write it: {log} may say why")
+        return time.perf_counter() - begin
+
+    def _merge(self, number: int, paths: list[Path]) -> None:
+        """Merge regions into a frame's render."""
+        from postfx.io.exr.merge import merge_renders
+
+        if paths:
+            merge_renders([self._merged(number), *paths], self._merged(number))
+
+    def _finish_round(self, seconds: float, more: float) -> None:
+        """Denoise what was rendered, plan the next round, and write down where the loop stands."""
+        from postfx.cli.main import make_parser
+        from postfx.cli.samples import SamplesJob
+        from postfx.files import write_text
+
+        begin = time.perf_counter()
+        renders = str(self._work / "merged" / "####.exr")
+        used = sum(one["more_samples"] for one in self.rounds) + more
+        words = ["run", renders, "-o", self._arguments.output, f"--frames={self._arguments.frames}", "--overwrite",
+                 "--scale", "1", "--quiet", *self._arguments.forwarded]
+        given = make_parser(["run"]).parse_args(words)
+        given.words = words
+        with redirect_stdout(io.StringIO()):
+            given.execute(given)
+        words = ["samples", renders, "--denoised", self._arguments.output, f"--frames={self._arguments.frames}",
+                 "--quality", self._arguments.quality, "--tile", str(self._arguments.tile), "--json"]
+        if self._arguments.budget is not None:
+            words += ["--budget", str(max(self._arguments.budget - used, 0))]
+        job = SamplesJob(make_parser(["samples"]).parse_args(words), is_quiet=True)
+        job.measure()
+        plan = job.as_dict()
+        frames = plan["frames"]
+        self.rounds.append({
+            "samples": sum(frame["samples"] for frame in frames) / len(frames), "more_samples": more,
+            "psnr": plan["psnr"], "render_seconds": seconds, "denoise_seconds": time.perf_counter() - begin,
+            "plan": plan,
+        })
+        write_text(self._state, json.dumps(self.rounds))
+
+    def _merged(self, number: int) -> Path:
+        path = self._file("merged", number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def _file(self, folder: str, number: int, more: str = "") -> Path:
+        return self._work / folder / f"{number:04d}{more}.exr"

@@ -1,0 +1,266 @@
+"""`postfx samples`: where a shot needs more samples until its denoised frames are good enough."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from postfx.cli.options import Option, Options, Section, parse_from_zero, parse_positive
+from postfx.cli.run_options import FILES, INPUT, RUN
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from postfx.adaptive.plan import Outlook, Tiles
+    from postfx.frame import Frame
+
+DESCRIPTION = """\
+Say how many more samples each tile of a shot needs until its denoised frames have a quality. This is the PSNR against a
+perfect render, on the display: 'visible' (36 dB), 'draft' (30 dB), 'fine' (42 dB), or 38dB; or a FLIP like flip=0.05.
+With --budget the samples go where they lower the error of the shot most.
+
+INPUT are the renders before denoising. The error of the denoised frames comes from a plane 'error' in INPUT or --error.
+Without one it is estimated from what the denoiser takes away and from the detail that is left. Such an estimate orders
+tiles well, and is off by a factor of about two in a single tile. Frames are denoised for it, unless --denoised names
+the result.
+
+OUTPUT are EXR files with the planes samples.Y (more samples), error.Y (expected squared error now) and after.Y (with
+these samples). --json prints rectangles to render for a farm or a script.
+"""
+EXAMPLES = """\
+examples:
+  postfx samples 'shot/####.exr' --quality visible -o 'map/####.exr'
+  postfx samples 'shot/####.exr' --quality flip=0.05 --budget 32 --json > more.json
+  postfx samples 'shot/####.exr' --denoised 'clean/####.exr' --pictures heat/
+  postfx samples 'shot/####.exr' --error 'clean/####.exr' --tile 64 -o 'map/####.exr'
+  postfx samples 'shot/####.exr' --leave auto,converged:0.01 -o 'map/####.exr'
+"""
+
+
+SAMPLES = Options(Section("", (
+    INPUT,
+    Option(flag="--output", short="-o", metavar="OUTPUT", help="EXR files to write: a pattern, a folder or one file"),
+    Option(flag="--quality", metavar="WORD|dB|flip=F", default="visible",
+           help="draft, visible (default), fine, a PSNR like 38dB, or a FLIP like flip=0.05, for each tile"),
+    Option(flag="--budget", metavar="N", type=parse_from_zero,
+           help="more samples a pixel at most, in the mean of the shot (default: as many as the quality needs)"),
+    Option(flag="--tile", metavar="N", type=parse_positive, default=32, help="side of a tile in pixels (default: 32)"),
+    Option(flag="--error", metavar="FRAMES", is_file=True,
+           help="files with the plane 'error', numbered like INPUT (default: INPUT and --denoised)"),
+    Option(flag="--denoised", metavar="FRAMES", is_file=True,
+           help="INPUT denoised at its own size, for the estimate (default: denoise it here)"),
+    Option(flag="--samples", metavar="N", type=parse_positive,
+           help="samples a pixel of INPUT (default: by its header)"),
+    Option(flag="--seconds", metavar="S", type=parse_from_zero,
+           help="that a frame of INPUT took to render (default: by its header)"),
+    Option(flag="--exposure", metavar="auto|metadata|EV", default="auto", help="as for 'postfx run' (default: auto)"),
+    Option(flag="--pictures", metavar="DIR", help="write a PNG of each frame: picture, error, samples"),
+    Option(flag="--frames", metavar="RANGE", help="frames of the shot, e.g. 1-100"),
+    Option(flag="--overwrite", help="replace output files that are there"),
+    RUN["--leave"]._replace(excludes={}),
+    RUN["--model"]._replace(excludes={}, basic=False),
+    RUN["--profile"],
+    *FILES,
+    Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", help="where to run"),
+    Option(flag="--json", help="print one JSON object"),
+)))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this verb's arguments."""
+    SAMPLES.add_to(parser)
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Measure, plan and write; returns the exit code."""
+    job = SamplesJob(arguments)
+    job.measure()
+    job.write()
+    print(json.dumps(job.as_dict()) if arguments.json else job.text())
+    return 0
+
+
+class SamplesJob:
+    """Everything that the arguments ask for. Raises PostfxError where they do not fit together."""
+
+    def __init__(self, arguments: argparse.Namespace, is_quiet: bool = False) -> None:
+        from postfx.adaptive.plan import parse_quality
+        from postfx.errors import OptionError, WriteError
+        from postfx.exposure import ExposureMeter
+        from postfx.frame import Role
+        from postfx.io.sequence import Sequence
+        from postfx.io.writer import ExistingFiles, OutputFiles
+
+        SAMPLES.refuse_conflicts(arguments)
+        self._arguments, self._is_quiet = arguments, is_quiet
+        self.quality = parse_quality(arguments.quality)
+        if arguments.tile < 8:
+            raise OptionError(f"--tile {arguments.tile}: is too small to render: give 8 or more, such as 32 or 64")
+        if not (arguments.output or arguments.json or arguments.pictures):
+            raise WriteError("nowhere to write: give -o OUTPUT, --pictures DIR or --json")
+        values = SAMPLES.values_for("sequence", arguments)
+        self._sequence = Sequence(arguments.input, arguments.frames, arguments.profile, **values).first_view()
+        self._denoised = Sequence(arguments.denoised, planes=[Role.COLOUR]) if arguments.denoised else None
+        self._errors = Sequence(arguments.error) if arguments.error else None
+        self._meter = ExposureMeter(arguments.exposure)
+        existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
+        self._outputs = OutputFiles(arguments.output, self._sequence, existing) if arguments.output else None
+        if self._outputs:
+            if self._outputs.display:
+                raise WriteError(f"{arguments.output}: maps are EXR files: --pictures writes PNG")
+            self._outputs.check(self._sequence.numbers)
+        self._sequence.refuse_holes(self._sequence.numbers)
+        self.tiles: list[Tiles] = []
+        self.plan: list[np.ndarray] = []
+        self._thumbs: list[np.ndarray] = []
+        self.sources: set[str] = set()
+
+    def measure(self) -> None:
+        """Find the tiles of all frames, and plan their samples."""
+        from postfx.adaptive.pictures import thumbnail
+        from postfx.adaptive.plan import make_tiles, plan_samples
+        from postfx.cli.summary import FrameProgress
+        from postfx.colour.views import to_codes
+        from postfx.frame import Role
+        from postfx.io.render_time import render_seconds
+
+        with FrameProgress(len(self._sequence), self._is_quiet) as progress:
+            progress.start(0)
+            for frame, denoised, error in self._frames():
+                seconds = self._arguments.seconds or render_seconds(frame.metadata)
+                strength = frame.planes.get(Role.STRENGTH)
+                self.tiles.append(make_tiles(frame.number, error, self._samples(frame),
+                                             None if strength is None else strength[:, :, 0], self._arguments.tile,
+                                             seconds))
+                if self._arguments.pictures:
+                    self._thumbs.append(thumbnail(to_codes(denoised, self._meter(frame))))
+                progress.advance(f"frame {frame.number}")
+        self.plan = plan_samples(self.tiles, self.quality, self._arguments.budget)
+
+    def write(self) -> None:
+        """Write maps and pictures."""
+        from postfx.adaptive.pictures import write_picture
+        from postfx.adaptive.plan import spread
+        from postfx.io.writer import write_channels
+
+        for index, (tiles, more) in enumerate(zip(self.tiles, self.plan, strict=True)):
+            if self._outputs:
+                planes = {"samples.Y": more, "error.Y": tiles.errors, "after.Y": tiles.error_with(more)}
+                write_channels(self._outputs.path(tiles.number),
+                               {name: spread(tiles, values) for name, values in planes.items()})
+            if self._arguments.pictures:
+                path = Path(self._arguments.pictures) / f"samples.{tiles.number:04d}.png"
+                write_picture(path, self._thumbs[index], tiles, more, self.quality)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The plan for programs."""
+        from postfx.adaptive.plan import find_regions, psnr
+
+        frames = []
+        for tiles, more in zip(self.tiles, self.plan, strict=True):
+            counted = max(float(tiles.counted.sum()), 1)
+            now, after = (float((error * tiles.counted).sum()) / counted
+                          for error in (tiles.errors, tiles.error_with(more)))
+            frames.append({
+                "frame": tiles.number, "width": tiles.size[0], "height": tiles.size[1],
+                "samples": float((tiles.samples * tiles.areas).sum() / tiles.areas.sum()),
+                "more_samples": float((more * tiles.areas).sum() / tiles.areas.sum()),
+                "psnr": psnr(now), "psnr_after": psnr(after),
+                "regions": [region.__dict__ for region in find_regions(tiles, more)],
+            })
+        found = self._outlook()
+        return {"quality": self.quality.words, "quality_psnr": self.quality.psnr, "tile": self._arguments.tile,
+                "error_from": sorted(self.sources), "frames": frames, "psnr": psnr(found.now),
+                "psnr_after": psnr(found.after), "more_samples": found.more, "uniform_samples": found.uniform,
+                "hours": found.hours, "uniform_hours": found.uniform_hours, "tiles_done": found.done}
+
+    def text(self) -> str:
+        """The plan for people."""
+        from postfx.adaptive.plan import psnr
+
+        found = self._outlook()
+        marked, count = (sum(int(number) for number in numbers) for numbers in
+                         ([(more > 0).sum() for more in self.plan], [more.size for more in self.plan]))
+        lines = [f"quality  {self.quality.words}: {self.quality.psnr:.1f} dB in each tile; the shot has "
+                 f"{psnr(found.now):.1f} dB, by {' and '.join(sorted(self.sources))}",
+                 f"render   {marked} of {count} tiles again: {found.more:.1f} more samples a pixel in the mean, then "
+                 f"about {psnr(found.after):.1f} dB, and {found.done:.0%} of the tiles are done"]
+        if found.uniform > found.more > 0:
+            known = found.hours is not None
+            hours = f": {found.hours:.2f} in place of {found.uniform_hours:.2f} hours" if known else ""
+            lines.append(f"saves    {1 - found.more / found.uniform:.0%} of the samples that the same error would need "
+                         f"everywhere ({found.uniform:.1f} a pixel){hours}")
+        lines += [f"wrote    {self._outputs.path(self.tiles[0].number)}" + " ..." * (len(self.tiles) > 1)] \
+            if self._outputs else []
+        return "\n".join(lines)
+
+    def _outlook(self) -> Outlook:
+        from postfx.adaptive.plan import look_ahead
+
+        return look_ahead(self.tiles, self.plan, self.quality)
+
+    def _frames(self) -> Iterator[tuple[Frame, np.ndarray, np.ndarray]]:
+        """Each frame, its denoised colour (its own where that is not needed) and the expected error."""
+        from postfx.adaptive.estimate import estimate_error
+        from postfx.errors import MissingPlaneError
+        from postfx.frame import Role
+
+        denoise = None
+        for frame in self._sequence:
+            colour = denoised = frame[Role.COLOUR]
+            error = self._read_error(frame)
+            if self._denoised:
+                denoised = self._denoised.read(frame.number)[Role.COLOUR]
+            elif error is None:
+                denoise = denoise or self._make_denoiser()
+                denoised = denoise(frame)[Role.COLOUR]
+            if error is None:
+                error = estimate_error(frame, denoised, self._meter(frame))
+                self.sources.add("an estimate from the noise")
+            elif error.shape != colour.shape[:2]:
+                raise MissingPlaneError(f"{frame.source}: has another size than the plane 'error' of its frame: write "
+                                        "that at the render's size")
+            else:
+                self.sources.add("the plane 'error'")
+            yield frame, denoised, error
+
+    def _read_error(self, frame: Frame) -> np.ndarray | None:
+        """The plane 'error' of a frame, from the files that are to have it, or else from those that may."""
+        from postfx.adaptive.estimate import read_error
+        from postfx.errors import MissingPlaneError
+
+        places = [self._errors] if self._errors else [self._sequence, self._denoised]
+        paths = [path for place in places if place for path in place.files(frame.number).values()]
+        found = next((error for error in map(read_error, paths) if error is not None), None)
+        if found is None and self._errors:
+            raise MissingPlaneError(f"{paths[0]}: no plane 'error': write it with 'postfx run --aov error', or leave "
+                                    "--error out")
+        return found
+
+    def _make_denoiser(self) -> Any:
+        from postfx.passes.denoise import DenoiseUpscale
+        from postfx.pipeline import Pipeline
+        from postfx.runtime import Device
+        from postfx.temporal.reverse_order import RunUp
+
+        options = SAMPLES.values_for("denoiser", self._arguments)
+        return Pipeline([DenoiseUpscale(scale=1.0, **options)], Device(self._arguments.device),
+                        run_up=RunUp(self._sequence))
+
+    def _samples(self, frame: Frame) -> Any:
+        """Samples of each pixel, or of all."""
+        from postfx.errors import MissingPlaneError
+        from postfx.frame import Role
+        from postfx.masks.noise import count_unit
+
+        samples = self._arguments.samples or frame.samples
+        if Role.SAMPLE_COUNT in frame:
+            counts = frame[Role.SAMPLE_COUNT]
+            return counts[:, :, 0] * count_unit(counts, samples)
+        if not samples:
+            raise MissingPlaneError(f"{frame.source}: its header does not say how many samples a pixel it has: give "
+                                    "--samples N")
+        return samples
