@@ -148,8 +148,8 @@ LAST = 1e-4
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Called by mkdocs for each page: a link to a file outside docs/ becomes its name, as the site does not have it. The
-    search lists pages of the laboratory last."""
+    """Called by mkdocs for each page: a link to a file outside docs/, which the site does not have, becomes its name.
+    The search lists pages of the laboratory last."""
     if page.file.src_uri.startswith("lab/"):
         page.meta["search"] = {"boost": LAST}
 

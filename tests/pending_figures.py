@@ -25,7 +25,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Both ways",
         "Precisions",
         "Training",
-        "Expected error",
     ),
     "docs/lab/tonemap.md": (
         "The looks",

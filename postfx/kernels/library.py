@@ -98,6 +98,11 @@ def levels() -> tuple[str, ...]:
     return build.levels_of(_find_or_build(build.PROBE, lowest, own=True))
 
 
+def has_byte_products() -> bool:
+    """Whether kernels can multiply numbers of 8 bits by this processor's own instructions: above the lowest level."""
+    return len(levels()) > 1
+
+
 def _this_target() -> str:
     try:
         return build.this_target()

@@ -375,13 +375,6 @@ def adds_byte_products() -> bool:
     return wide_vectors() and (compiled_level() or "").endswith(_VNNI)
 
 
-def has_byte_products() -> bool:
-    """Whether kernels can multiply numbers of 8 bits by this processor's own instructions: above the lowest level."""
-    from postfx.kernels.library import levels  # which imports this module
-
-    return len(levels()) > 1
-
-
 @cache
 def processor_level() -> str | None:
     """The highest level that this processor has; None where that is not known."""

@@ -126,7 +126,8 @@ def partner_weight(frames: int, scale: float = 1.0) -> float:
     On thirteen kinds of content the best weight at the render's size was 0.75 to 0.8 in the first frame and 0.6 to 0.7
     in the third; on five longer sequences 0.75, 0.4, and 0.25 in the eighth; at 2x 0.5, 0.25 to 0.4, and 0.25.
     """
-    return (LASTING + WITHOUT_HISTORY / frames) / scale**ENLARGED
+    weight: float = (LASTING + WITHOUT_HISTORY / frames) / scale**ENLARGED
+    return weight
 
 
 class MixPartner(Pass):

@@ -30,7 +30,7 @@ from postfx.kernels.denoise.upsample import (
     UPSAMPLE_UNSCALED,
 )
 from postfx.kernels.image import RESAMPLE, positions
-from postfx.kernels.native import has_byte_products
+from postfx.kernels.library import has_byte_products
 from postfx.passes.denoise.network import stored_channels
 from postfx.runtime import Device
 from tests.kernels.denoise_cases import CASES, KERNELS, ODD, Case, arguments, case_for, run, runs_of

@@ -9,7 +9,7 @@ from typing import Any
 
 from postfx.errors import ModelError, PassOptionError
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY
-from postfx.kernels.native import has_byte_products
+from postfx.kernels.library import has_byte_products
 from postfx.passes.denoise.tiling import LEVELS
 from postfx.runtime import Device, Library, PipelineState
 from postfx.runtime.convolutions import Head
