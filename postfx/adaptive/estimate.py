@@ -4,7 +4,7 @@ A network that predicts it writes a plane `error`. Without one it is estimated f
 pixels, before and after denoising, in code values (exposed, x / (1 + x), sRGB), squared and averaged around each pixel.
 Before, they show noise and detail together; after, the detail that the denoiser found. Where there is much of both it
 errs most. The error of a tile is near SHARE before^BEFORE_POWER after^AFTER_POWER. The constants are fitted to tiles of
-scenes with references; docs/howto/render_more.md says which, and how far such estimates are off.
+scenes with references; docs/howto/render_more.md says what such estimates are worth.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PLANE = "error"
 """Layer of the predicted error in files."""
 RADIUS = 8
 """Of the squares that differences are averaged over, in pixels."""
-SHARE, BEFORE_POWER, AFTER_POWER = 0.569, 0.714, 0.287
+SHARE, BEFORE_POWER, AFTER_POWER = 0.66, 0.714, 0.287
 LEAST = 1e-7
 """Mean square of differences that counts as flat."""
 

@@ -20,6 +20,7 @@ VERBS = {
     "watch": "preview frames while a renderer writes them",
     "merge": "merge renders that differ in their seed, weighted by samples",
     "samples": "say where a shot needs more samples",
+    "tune": "adapt a network to a shot",
     "loop": "render, denoise, and render again where that pays",
     "chunks": "cut a sequence into chunks for the machines of a farm",
     "verify": "check that the files of a run are there, whole and unaltered",
