@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 AOVS = "albedo:albedo,nn:sh_normal,dd:depth"
+LEAST_THREADS = 2  # with one, Mitsuba's writer of EXR waits for ever
 
 
 def set_variant():
@@ -59,6 +60,7 @@ def render(scene, job):
 
 def main():
     set_variant()
+    drjit.set_thread_count(max(drjit.thread_count(), LEAST_THREADS))
     source, jobs = sys.argv[1:]
     for job in json.loads(Path(jobs).read_text())["jobs"]:
         render(load(source, job["frame"]), job)
