@@ -36,7 +36,8 @@ def _export(folder: Path) -> None:
     for tag, config in configs.items():
         model, path = small_model(tag.endswith(".guides"), config), folder / f"denoise_upscale.{tag}.onnx"
         checkpoint = {"config": model.config.as_dict(), "weights": model.state_dict(), "notes": {}}
-        write_card(path, card(checkpoint, tag, export_trunk(model.trunk, path), {}))
+        told = card(checkpoint, tag, export_trunk(model.trunk, path), {})
+        write_card(path, told | ({"halo": RESIDUAL.sees} if config is RESIDUAL else {}))  # random weights use it all
 
 
 @pytest.fixture

@@ -208,4 +208,4 @@ def test_the_command_names_a_network_that_predicts_none(postfx) -> None:
 
 def test_the_halo_of_a_card_comes_before_that_of_the_name(small_models: Path) -> None:
     model = ["denoise_upscale.residual"]
-    assert models.halo_of(model) == models.seamless(model) == RESIDUAL.reach + 62
+    assert models.halo_of(model) == models.seamless(model) == RESIDUAL.sees

@@ -65,6 +65,9 @@ MEANING = {
     "level4": f"5x5 kernel {KERNEL}",
 }
 ALIKE = "the same at all pixels"
+HALO = 64
+"""Render pixels around a window of a residual network: on five sequences at 1x with the network `l`, the result then
+differs from the whole frame's by at most 1e-6, with 32 pixels by 1.3e-4."""
 
 
 # Kernel -> its torch definition, and the sizes to trace with: 21x33 pixels of a picture of 25x45, padded to 32x48,
@@ -272,11 +275,10 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
 
 
 def _manners(config: TrunkConfig | ResidualConfig) -> dict[str, Any]:
-    """How a network is run, where not as most are: with the planes of volumes, and with all pixels that it sees."""
+    """How a network is run, where not as most are: with the planes of volumes, and with a halo of its own."""
     if not isinstance(config, ResidualConfig):
         return {}
-    pyramid = 2 * sum(1 << level for level in range(LEVELS + 1))
-    return {"blanks_volumes": False, "halo": config.reach + pyramid}
+    return {"blanks_volumes": False, "halo": min(HALO, config.sees)}
 
 
 def _output(config: TrunkConfig | ResidualConfig, name: str) -> dict[str, Any]:

@@ -63,6 +63,11 @@ class ResidualConfig:
         counts = (down + up for down, up in zip(self.down, (*self.up, 0), strict=True))
         return 1 + sum(2 * count << level for level, count in enumerate(counts))
 
+    @property
+    def sees(self) -> int:
+        """The same with the filters that it predicts."""
+        return self.reach + 2 * sum(1 << level for level in range(LEVELS + 1))
+
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 

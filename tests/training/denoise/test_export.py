@@ -180,8 +180,10 @@ def test_a_card_says_how_far_a_residual_network_sees() -> None:
     with torch.no_grad():
         differ = (trunk(*planes)[0] != trunk(*changed)[0]).any(1).nonzero()[:, 2]
     assert 256 - config.reach - 16 <= int(differ.min()) and int(differ.max()) <= 256 + config.reach + 16
-    assert denoise_export.card({"config": config.as_dict(), "weights": {}, "notes": {}}, "l.1x", 0.0, {})["halo"] \
-        == config.reach + 62
+    small = replace(config, down=(0,) * 5, up=(0,) * 4)
+    for layout, halo in ((config, denoise_export.HALO), (small, small.sees)):
+        bare = {"config": layout.as_dict(), "weights": {}, "notes": {}}
+        assert denoise_export.card(bare, "l.1x", 0.0, {})["halo"] == halo
 
 
 def test_relative_error() -> None:
