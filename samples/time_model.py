@@ -25,7 +25,7 @@ from masked_speed import masked
 
 import postfx
 from postfx.bench.measure import peak_memory
-from postfx.passes.denoise.tiling import HALOS
+from postfx.passes.denoise.models import HALOS
 
 SIZES = "427x240,640x360,960x540,1280x720,1920x1080"
 SHARES = 100, 75, 50, 25, 10, 1

@@ -345,5 +345,5 @@ def test_every_script_is_run_here():
              "external_tone_mapper.py", "between_frames.py", "mlp_in_kernel.py", "neural_speed.py", "sky.py",
              "sky_probe.py", "irradiance_network.py", "planes.py", "classic.py", "render_size.py", "occlusion.py",
              "time_model.py", "neural_material.py", "neural_shading.py", "scene_network.py", "display.py",
-             "reflections.py", "detail.py", "site_pictures.py", "scene_passes.py"}
+             "reflections.py", "detail.py", "site_pictures.py", "scene_passes.py", "blender_panels.py"}
     assert {path.name for path in SAMPLES.glob("*.py")} == named

@@ -214,6 +214,6 @@ class MixPartner(Pass):
         return {"mixture": self._outputs[1].content(), "frames": np.array([self._frames], np.int32)}
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
-        self._frames = int(history["frames"][0]) if "frames" in history else 0
-        if self._frames:
+        self._frames = int(history["frames"][0]) if history else 0
+        if history:
             self._outputs[1].upload(history["mixture"])

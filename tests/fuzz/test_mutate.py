@@ -21,4 +21,4 @@ def test_damage_is_survived(kind: str, tmp_path: Path) -> None:
                           env={**os.environ, "PYTHONPATH": path})
     assert done.returncode == 0, f"input {(tmp_path / 'at').read_text()}: {done.stderr[-2000:]}"
     outcomes = ast.literal_eval(done.stdout.splitlines()[-1])
-    assert outcomes["read"] > 5 and outcomes["refused"] > 5, outcomes
+    assert outcomes["read"] and outcomes["refused"], outcomes
