@@ -264,12 +264,16 @@ def train(views: Views, steps: int, width: int = 32, batch: int = 32, seed: int 
     return mean
 
 
-def main() -> None:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("views", type=Path)
     parser.add_argument("models", type=Path)
     parser.add_argument("--steps", type=int, default=6000)
-    args = parser.parse_args()
+    return parser
+
+
+def main() -> None:
+    args = options().parse_args()
     views = Views(args.views, torch.device("cuda" if torch.cuda.is_available() else "cpu"))
     print(f"{len(views.learnt)} views at a radius to learn from, {len(views.held)} held out")
     export_network(train(views, args.steps), args.models / "occlusion.onnx")

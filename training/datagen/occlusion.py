@@ -230,7 +230,7 @@ def scenes_of(args: argparse.Namespace) -> Iterator[tuple[str, mi.Scene, Callabl
                    partial(draw_view, scene.facts, own=0.5, shift=0.1, inside=0.1))
 
 
-def main() -> None:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path)
     parser.add_argument("out", type=Path)
@@ -244,7 +244,11 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first mix or made scene")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba: cuda_ad_rgb on a GPU")
     parser.add_argument("--threads", type=int, default=1)
-    args = parser.parse_args()
+    return parser
+
+
+def main() -> None:
+    args = options().parse_args()
     use_variant(args.variant)
     dr.set_thread_count(args.threads)
     args.out.mkdir(parents=True, exist_ok=True)
