@@ -6,6 +6,7 @@ PENDING: dict[str, tuple[str, ...]] = {
     "docs/lab/partner.md": (
         "What it gains",
         "How it is mixed",
+        "The weight",
     ),
     "README.md": (
         "postfx",
