@@ -6,7 +6,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     "docs/lab/partner.md": (
         "What it gains",
         "How it is mixed",
-        "The weight",
     ),
     "README.md": (
         "postfx",
@@ -119,7 +118,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "The stem of s",
         "Channels that are never active",
         "Time",
-        "Its first long training",
     ),
     "docs/lab/farm.md": (
         "Laboratory: how chunks join",

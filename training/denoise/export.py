@@ -18,6 +18,8 @@ from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
+    LEAST_LOG_ERROR,
+    MOST_LOG_ERROR,
     OPEN,
     OPEN_ERROR,
     OPEN_FINE,
@@ -40,8 +42,6 @@ from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
 from postfx.passes.denoise.network import ERROR, FEATURE_PARTS, FINE_LOGITS, PHASED_FINE
 from training.denoise.model import LEVELS, Trunk, TrunkConfig, filters, stem
 from training.denoise.residual import (
-    LEAST_ERROR,
-    MOST_ERROR,
     STEEPEST,
     ResidualConfig,
     ResidualTrunk,
@@ -216,7 +216,7 @@ class ExportedResidual(ResidualTrunk):
         return filters(head(normalise(stream)).clamp(-STEEPEST, STEEPEST))
 
     def all_heads(self, stream: torch.Tensor, levels: list[torch.Tensor]) -> tuple[torch.Tensor, ...]:
-        ends = () if self.error is None else (self.error(stream).clamp(LEAST_ERROR, MOST_ERROR),)
+        ends = () if self.error is None else (self.error(stream).clamp(LEAST_LOG_ERROR, MOST_LOG_ERROR),)
         return self.fine(stream), *levels, *ends
 
 

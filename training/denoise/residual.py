@@ -20,16 +20,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from postfx.kernels import denoise as layout
 from postfx.kernels.denoise import FEATURES, FINE, KERNEL, MIRRORED, MIX, SHARPEN
+from postfx.kernels.denoise.network_io import LEAST_LOG_ERROR, MOST_LOG_ERROR
 from training.denoise.model import LEVELS, NO_SHARPENING, TrunkConfig, activate_fine, filters
 
 BRANCH = 0.2  # of the usual first weights of what a block adds
-STEEPEST = 8.0  # logits stay within this
+STEEPEST = float(layout.STEEPEST)  # logits stay within this; torch compiles no numbers of NumPy
 LEAST_SQUARE = 1e-6  # added to a mean square before its root
 HEAD_STD = 0.01  # of the heads' first weights: filters start nearly even
 USUAL_ERROR = -6.0  # logarithm of a squared error in code values: 26 dB
-LEAST_ERROR = -14.0
-MOST_ERROR = 0.0
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class ResidualTrunk(nn.Module):
         fine = activate_fine(bound(self.fine(stream)))
         if self.error is None:
             return fine, *levels
-        return fine, *levels, self.error(stream).float().clamp(LEAST_ERROR, MOST_ERROR)
+        return fine, *levels, self.error(stream).float().clamp(LEAST_LOG_ERROR, MOST_LOG_ERROR)
 
 
 def layout_from(config: dict[str, Any]) -> TrunkConfig | ResidualConfig:

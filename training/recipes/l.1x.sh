@@ -18,7 +18,7 @@ work=$1 minutes=$2 checkpoint=${3:-}
 blender=${BLENDER:-blender/run} library=${LIBRARY:-library} seed=${SEED:-1} processes=${PROCESSES:-26}
 gpus=$(nvidia-smi -L | wc -l)
 python=${PYTHON:-python3}
-mkdir -p "$work/logs"
+mkdir -p "$work/logs" "$work/raw"
 began=$(date +%s)
 
 # Minutes of rendering before the training begins: it compiles meanwhile if there is a GPU for each.
@@ -37,7 +37,6 @@ CUDA_VISIBLE_DEVICES=0 "$python" -m training.datagen.formula --out "$work/formul
     --seed "$seed" >"$work/logs/formula.log" 2>&1 &
 "$python" -m training.datagen.render "${small[@]}" >"$work/logs/mitsuba.log" 2>&1 &
 "$python" -m training.datagen.render "${views[@]}" >"$work/logs/cycles.log" 2>&1 &
-mkdir -p "$work/raw"
 "$python" -m training.datagen.clean_references "$work/raw" "$work/views" --network models/denoise_upscale.m.1x.onnx \
     --watch "$((rendering + 1))" --device "cuda:$renderer" >"$work/logs/clean.log" 2>&1 &
 
