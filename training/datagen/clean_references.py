@@ -11,7 +11,8 @@ cleaned, each by itself, so that a render is still compared with samples of whic
 
 Clips without halves have references of many samples, and are moved as they are, like clips whose
 references are larger than their renders. RAW may still be growing: with --watch the program goes on
-for so many minutes. Cleaned clips leave RAW.
+for so many minutes. Cleaned clips leave RAW, so a rendering that goes on there makes
+them again: give it another --seed.
 """
 
 from __future__ import annotations
