@@ -169,7 +169,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Optional parts",
     ),
     "docs/measured/speed.md": (
-        "On a CPU",
         "On a GPU",
     ),
     "docs/lab/stability.md": (
