@@ -31,15 +31,20 @@ import torch
 from torch import Tensor
 
 from training.datagen.clip_file import to_half
-from training.denoise.checkpoint import load_weights
+from training.denoise.checkpoint import load_weights, widen
 from training.denoise.dataset import Clip, Stack, collate, load, to_batch
 from training.denoise.model import DenoiseUpscale, TrunkConfig, empty_state
+from training.denoise.picture import PictureDenoiser
 
 PAUSE = 0.5  # seconds between two looks for new clips
 
 
-def load_network(path: Path, device: torch.device) -> DenoiseUpscale:
-    """The network of an exported model in float32, with its card beside it."""
+def load_network(path: Path, device: torch.device) -> DenoiseUpscale | PictureDenoiser:
+    """The network of an exported model in float32, with its card beside it, or of a checkpoint of a picture network."""
+    if path.suffix == ".pt":
+        found = PictureDenoiser()
+        found.load_state_dict(widen(load_weights(path), found.state_dict()))
+        return found.to(device).eval()
     config = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))["config"]
     network = DenoiseUpscale(TrunkConfig.from_dict(config))
     network.load_state_dict(load_weights(path, trust=bool(config.get("trust"))))
@@ -52,15 +57,16 @@ def is_cleaned(clip: Clip) -> bool:
 
 
 @torch.no_grad()
-def clean(network: DenoiseUpscale, clip: Clip, picture: Tensor) -> Tensor:
+def clean(network: DenoiseUpscale | PictureDenoiser, clip: Clip, picture: Tensor) -> Tensor:
     """A ``picture`` (T, 3, h, w) of the clip without its noise, by the planes of the first half of the reference."""
     stack = collate([clip], [clip.halved.index(True)])
     batch = to_batch(with_colour(stack, picture))
     state = empty_state(batch.frames[0], *picture.shape[-2:])
+    alone = isinstance(network, PictureDenoiser)  # that may begin with weights that know no history
     outputs = []
     for inputs, keep in zip(batch.frames, batch.keep, strict=True):
         step = network.step(inputs, state.drop(keep))
-        state = step.state
+        state = state if alone else step.state
         outputs.append(step.output[0] / clip.exposure)
     return torch.stack(outputs)
 
@@ -72,7 +78,7 @@ def with_colour(stack: Stack, colour: Tensor) -> Stack:
     return replace(stack, planes=planes)
 
 
-def clean_file(network: DenoiseUpscale, path: Path, folder: Path, device: torch.device) -> bool:
+def clean_file(network: DenoiseUpscale | PictureDenoiser, path: Path, folder: Path, device: torch.device) -> bool:
     """Move a clip to a folder, its references cleaned if it needs that; returns whether it did."""
     clip = load(path, device, blank_volumes=True)
     target = folder / path.name
@@ -94,7 +100,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("raw", type=Path, help="folder of clip.NNNNN.npz as rendered")
     parser.add_argument("clean", type=Path, help="folder that gets the cleaned clips")
-    parser.add_argument("--network", type=Path, required=True, help="denoise_upscale.<tag>.onnx in float32")
+    parser.add_argument("--network", type=Path, required=True, help="denoise_upscale.<tag>.onnx in float32, or "
+                        "a checkpoint of a picture network (training.denoise.open_weights)")
     parser.add_argument("--watch", type=float, default=0.0, metavar="MINUTES", help="wait for new clips so long")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     args = parser.parse_args(argv)

@@ -8,7 +8,7 @@ import json
 import math
 import random
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
@@ -262,10 +262,11 @@ class ClipPool:
     def __len__(self) -> int:
         return sum(map(len, self.training.values()))
 
-    def draw(self, size: int, crop: int, seed: int, sparse: float = 0.0, turn: int = 0) -> Stack:
+    def draw(self, size: int, crop: int, seed: int, sparse: float = 0.0, turn: int = 0, blend: float = 0.0) -> Stack:
         """Windows of clips of one output size; ``seed`` picks the size, so that all GPUs work on the same one.
 
-        ``sparse`` is the share of clips whose albedo, normal and roughness come from a render with fewer samples. Turn
+        ``sparse`` is the share of clips whose albedo, normal and roughness come from a render with fewer samples,
+        ``blend`` the share of those whose noise is mixed from two renders. Turn
         0 plays the clips forwards; each later ``turn``, drawn with the same random state, plays the same windows of
         other renders the other way than the turn before, and continues its history.
         """
@@ -278,7 +279,9 @@ class ClipPool:
         variants = [renders[turn % len(renders)] for renders in order]
         thinned = [random.random() < sparse for _ in clips]
         surfaces = [sparser(c, v, turn) if thin else v for c, v, thin in zip(clips, variants, thinned, strict=True)]
-        stack = collate(clips, variants, crop, surfaces)
+        blended = [random.random() < blend for _ in clips]
+        others = [companion(c, v) if mixed else None for c, v, mixed in zip(clips, variants, blended, strict=True)]
+        stack = collate(clips, variants, crop, surfaces, others)
         return stack if turn == 0 else play_on(stack, backwards=turn % 2 == 1)
 
 
@@ -305,17 +308,35 @@ def sparser(clip: Clip, variant: int, turn: int = 0) -> int:
     return fewer[turn % len(fewer)] if fewer and clip.spread[variant] else variant
 
 
+def companion(clip: Clip, variant: int) -> int | None:
+    """Another render of the same frames whose samples are spread over the pixel and not part of a reference; None if
+    there is none, or the render itself is of another kind."""
+    if not clip.spread[variant] or clip.exact[variant]:
+        return None
+    others = [v for v in range(len(clip.planes))
+              if v != variant and clip.spread[v] and not clip.halved[v] and not clip.exact[v]]
+    return random.choice(others) if others else None
+
+
 def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
-            surfaces: list[int] | None = None) -> Stack:
+            surfaces: list[int] | None = None, others: Sequence[int | None] = ()) -> Stack:
     """Stack one noisy render of each clip, complete or in windows of ``crop`` render pixels.
 
-    ``surfaces`` are the renders that provide albedo, normal and roughness; by default the same ones.
+    ``surfaces`` are the renders that provide albedo, normal and roughness; by default the same ones. Where ``others``
+    names another render, the two are mixed by a random share, as if samples of both were drawn: one clip then shows
+    ever other noise.
     """
     windows = [_window(clip, crop) for clip in clips]
     chosen = list(zip(clips, variants, windows, strict=True))
     guided = clips[0].guides is not None
     device = clips[0].planes.device
     planes = torch.stack([c.planes[v, ..., w[0], w[1]] for c, v, w in chosen]).float()
+    for entry, (other, (clip, _, window)) in enumerate(zip(others, chosen, strict=False)):
+        if other is not None:
+            share = random.random()
+            for part in (slice(0, 3), *SURFACE):
+                second = clip.planes[other, :, part, window[0], window[1]].float()
+                planes[entry, :, part] = torch.lerp(planes[entry, :, part], second, share)
     albedos = torch.full_like(planes[:, :, ALBEDOS], torch.nan)
     for entry, (other, (clip, variant, window)) in enumerate(zip(surfaces or variants, chosen, strict=True)):
         known = None if clip.hazy[other] else true_planes(clip, other)

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from training import ops
 from training.denoise import loss as losses
 from training.denoise import model as network
+from training.denoise import picture
 from training.denoise.dataset import Batch
 from training.denoise.loss import Results
 
@@ -22,6 +23,7 @@ from training.denoise.loss import Results
 # one or two GPU kernels forward and as many backward. Compiling the whole step would take minutes for every shape.
 FUSED = ((ops, ("filter_kernels", "pool", "demodulation", "dilate_motion", "box_mean", "upsample")),
          (network, ("features", "guide_features", "accumulate", "demodulate")),
+         (picture, ("network_inputs", "activate")),
          (losses, ("display", "frame_loss", "flicker_loss", "explained_by_motion", "even_scale")))
 
 

@@ -40,6 +40,7 @@ from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
 from training.denoise.loss import LIGHT, ClipLoss
 from training.denoise.model import DenoiseUpscale, State, Trunk, TrunkConfig, empty_state
+from training.denoise.picture import PictureDenoiser
 from training.denoise.residual import ResidualConfig, ResidualTrunk
 from training.measure.runs import append_run
 
@@ -71,6 +72,8 @@ def options() -> argparse.ArgumentParser:
                              "zero (default: a cosine all along); stable.pt is the checkpoint before, to go on from")
     parser.add_argument("--residual", action="store_true", help="a trunk of residual blocks from the render size on "
                         "(residual.py), of which --widths, --down and --up tell the layout")
+    parser.add_argument("--picture", action="store_true", help="a network that gives the picture itself (picture.py); "
+                        "--start with the file of training.denoise.open_weights")
     parser.add_argument("--down", type=int, nargs="+", default=list(ResidualConfig.down), metavar="N",
                         help="with --residual: blocks of each level on the way down")
     parser.add_argument("--up", type=int, nargs="+", default=list(ResidualConfig.up), metavar="N",
@@ -99,6 +102,8 @@ def options() -> argparse.ArgumentParser:
                         help="share of the clips with wrong motion vectors (%(default)s)")
     parser.add_argument("--sparse-planes", type=float, default=0.0, metavar="SHARE",
                         help="share of the clips with albedo, normal and roughness of a render with fewer samples")
+    parser.add_argument("--blend", type=float, default=0.0, metavar="SHARE",
+                        help="share of the clips whose noise is mixed from two of their renders (%(default)s)")
     parser.add_argument("--both-ways", type=float, default=0.0, metavar="SHARE",
                         help="share of the steps that also run clips backwards and score the blend of both directions")
     parser.add_argument("--carry", type=float, default=0.0, metavar="SHARE",
@@ -155,6 +160,11 @@ def trunk_of(args: argparse.Namespace) -> Trunk | ResidualTrunk:
         layout = ResidualConfig(tuple(args.widths), tuple(args.down), tuple(args.up), args.trust)
         return ResidualTrunk(layout)
     return Trunk(TrunkConfig(tuple(args.widths), args.depth, args.guides, args.stem, args.reach, args.trust))
+
+
+def network_of(args: argparse.Namespace) -> DenoiseUpscale | PictureDenoiser:
+    """The denoiser of the arguments, with random weights."""
+    return PictureDenoiser() if args.picture else DenoiseUpscale(trunk=trunk_of(args))
 
 
 def runs_both_ways(step: int, share: float) -> bool:
@@ -274,7 +284,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
     augment = Augment(clean=args.clean, false_motion=args.false_motion)
 
     # The network, the average of its weights, and its loss.
-    model = model or DenoiseUpscale(trunk=trunk_of(args))
+    model = model or network_of(args)
     model = model.to(device, memory_format=torch.channels_last)
     if args.start:
         model.load_state_dict(widen(load_weights(args.start, args.trust), model.state_dict()))
@@ -352,7 +362,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
             group["lr"] = rate
         play = pick(playing, step, args)
         seed_all(args.seed, rank, play.begun)  # the same windows and augmentation for all turns
-        batch = augment(pool.draw(args.batch, args.crop, args.seed + play.begun, args.sparse_planes, play.turn))
+        batch = augment(pool.draw(args.batch, args.crop, args.seed + play.begun, args.sparse_planes, play.turn, args.blend))
         seed_all(args.seed, rank, step, "resets")
         if args.carry:
             batch = replace(batch, state=play.state or empty_state(batch.frames[0], *batch.references.shape[-2:]))

@@ -1,0 +1,254 @@
+"""A network that gives the denoised picture itself: the best one of the denoiser at 1x.
+
+The trunks of `model.py` and `residual.py` predict filters, so a pixel stays within the hull of its
+neighbours. This one is a U-Net that predicts the colour of each pixel. It has the layers of the
+large network of Open Image Denoise 2.5 (Apache-2.0), so that a training may begin with the weights
+that were published with it (`open_weights.py`) and teach them what that network has not: the noise
+of planes, Blender's planes that follow mirrors, and the history.
+
+Its first nine inputs are those of Open Image Denoise: colour behind the curve `encode`, albedo and
+normal. The others are the features of `model.features`, the last output and the accumulated colour
+behind the same curve, and the planes that follow mirrors and glass. Weights of these begin as zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from postfx.kernels.denoise import FEATURES, HIDDEN, MIRRORED
+from postfx.kernels.denoise.network_io import LEAST_LOG_ERROR, MOST_LOG_ERROR
+from training import ops
+from training.denoise import model as network
+from training.denoise.model import Inputs, State, Step
+from training.denoise.residual import USUAL_ERROR
+
+# The curve of colour in Open Image Denoise's HDR networks, in which equal steps look alike over the
+# range of half precision: linear, then a power, then a logarithm.
+LINEAR_SLOPE = 1.41283765e03
+POWER_FACTOR = 1.64593172e00
+POWER = 4.31384981e-01
+POWER_OFFSET = -2.94139609e-03
+LOG_FACTOR = 1.92653254e-01
+LOG_SHIFT = 6.26026094e-03
+LOG_OFFSET = 9.98620152e-01
+LINEAR_END = 1.57945760e-06  # light
+POWER_END = 3.22087631e-02  # light
+LINEAR_END_CODE = 2.23151711e-03
+POWER_END_CODE = 3.70974749e-01
+MOST_LIGHT = 65504.0  # of half precision; its code is 1
+CODE_SCALE = 1 / 3.13511896  # 1 / (LOG_FACTOR * log(MOST_LIGHT + LOG_SHIFT) + LOG_OFFSET)
+LEAST_BASE = 1e-12  # of a power, whose gradient at 0 is infinite
+
+GUIDED_INPUTS = 9  # colour, albedo, normal: what Open Image Denoise reads
+FURTHER_INPUTS = FEATURES + MIRRORED + 6
+LEVELS = 4
+BLEND_BEGINS = 0.5  # logit of the new picture's share beside the history
+DISTRUST_BEGINS = -2.0  # logit
+HEAD_STD = 0.01
+# Channels of the controls: as the last ones of a fine head, of which the mix is the blend here.
+BLEND = 0
+DISTRUST = 1
+IMPORTANCE = 2
+MEMORY = 3
+CONTROLS = MEMORY + HIDDEN
+
+
+def encode(light: Tensor) -> Tensor:
+    """Codes in [0, 1] of light in [0, 65504]."""
+    power = POWER_FACTOR * light.clamp(min=LEAST_BASE) ** POWER + POWER_OFFSET
+    bright = LOG_FACTOR * torch.log(light + LOG_SHIFT) + LOG_OFFSET
+    dim = torch.where(light <= LINEAR_END, LINEAR_SLOPE * light, power)
+    return torch.where(light <= POWER_END, dim, bright) * CODE_SCALE
+
+
+def decode(codes: Tensor) -> Tensor:
+    """Light of codes in [0, 1]: the inverse of `encode`."""
+    found = codes / CODE_SCALE
+    base = ((found - POWER_OFFSET) / POWER_FACTOR).clamp(min=LEAST_BASE)
+    dim = torch.where(found <= LINEAR_END_CODE, found / LINEAR_SLOPE, base ** (1 / POWER))
+    bright = torch.exp((found.clamp(max=1 / CODE_SCALE) - LOG_OFFSET) / LOG_FACTOR) - LOG_SHIFT
+    return torch.where(found <= POWER_END_CODE, dim, bright)
+
+
+@dataclass(frozen=True)
+class PictureConfig:
+    """Layout of the network: the channels of the levels at 1, 1/2, 1/4, 1/8 and 1/16 of the size."""
+
+    picture: bool = True
+    channels: tuple[int, ...] = (64, 96, 128, 192, 256)
+    trust: bool = False
+    guides: bool = False
+    mirrored: bool = True
+
+    def __post_init__(self) -> None:
+        if len(self.channels) != LEVELS + 1:
+            raise ValueError(f"{LEVELS + 1} levels: {self}")
+
+    @property
+    def align(self) -> int:
+        """Height and width of the network's input are multiples of this."""
+        return 2 ** LEVELS
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, config: dict[str, Any]) -> PictureConfig:
+        known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
+        return cls(**{**known, "channels": tuple(known["channels"])})
+
+    def products(self) -> float:
+        """Multiplications of the network a render pixel."""
+        modules = PictureNetwork(self).named_modules()
+        total = 0.0
+        for name, module in modules:
+            if isinstance(module, nn.Conv2d):
+                digits = [int(letter) for letter in name if letter.isdigit()]
+                level = digits[0] - 1 if digits else 0
+                total += module.weight.numel() / 4 ** level
+        return total
+
+
+def conv(inputs: int, outputs: int) -> nn.Conv2d:
+    return nn.Conv2d(inputs, outputs, 3, padding=1)
+
+
+class PictureNetwork(nn.Module):
+    """Features (N, 35, h, w) and planes of mirrors (N, 6, h, w), h and w multiples of 16 -> three tensors of that size.
+
+    - the picture (N, 3, h, w): log(1 + exposed colour),
+    - the controls (N, 11, h, w): share of this picture beside the history, distrust of what was
+      accumulated, 1, and the hidden state (8),
+    - the logarithm of the expected squared error of each pixel, (N, 1, h, w).
+    """
+
+    def __init__(self, config: PictureConfig | None = None):
+        super().__init__()
+        self.config = config or PictureConfig()
+        self.align = self.config.align
+        one, two, three, four, five = self.config.channels
+        self.enc_conv1a = conv(GUIDED_INPUTS + FURTHER_INPUTS, one)
+        self.enc_conv1b = conv(one, one)
+        self.enc_conv2a = conv(one, two)
+        self.enc_conv2b = conv(two, two)
+        self.enc_conv3a = conv(two, three)
+        self.enc_conv3b = conv(three, three)
+        self.enc_conv4a = conv(three, four)
+        self.enc_conv4b = conv(four, four)
+        self.enc_conv5a = conv(four, five)
+        self.enc_conv5b = conv(five, five)
+        self.dec_conv4a = conv(five + three, four)
+        self.dec_conv4b = conv(four, four)
+        self.dec_conv3a = conv(four + two, three)
+        self.dec_conv3b = conv(three, three)
+        self.dec_conv2a = conv(three + one, two)
+        self.dec_conv2b = conv(two, two)
+        self.dec_conv1a = conv(two + GUIDED_INPUTS, one)
+        self.dec_conv1b = conv(one, one)
+        self.dec_conv1c = conv(one, 3)
+        self.further = nn.Conv2d(FURTHER_INPUTS, one, 1)
+        self.controls = nn.Conv2d(one, CONTROLS, 1)
+        self.error = nn.Conv2d(one, 1, 1)
+        nn.init.zeros_(self.further.weight)
+        nn.init.zeros_(self.further.bias)
+        for head in (self.controls, self.error):
+            nn.init.normal_(head.weight, std=HEAD_STD)
+            nn.init.zeros_(head.bias)
+        nn.init.constant_(self.controls.bias[BLEND], BLEND_BEGINS)
+        nn.init.constant_(self.controls.bias[DISTRUST], DISTRUST_BEGINS)
+        nn.init.constant_(self.error.bias, USUAL_ERROR)
+
+    def forward(self, features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        guided, further = self.read(features, mirrored)
+        x = F.relu(self.dec_conv1b(self.features_of(guided, further)))
+        return self.heads(x)
+
+    @staticmethod
+    def read(features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
+        """The inputs of Open Image Denoise (N, 9, h, w), and the further ones."""
+        return network_inputs(features, mirrored)
+
+    def features_of(self, guided: Tensor, further: Tensor) -> Tensor:
+        """The finest level's stream before its last two convolutions."""
+        x = F.relu(self.enc_conv1a(torch.cat((guided, further), 1)))
+        first = F.max_pool2d(F.relu(self.enc_conv1b(x)), 2)
+        x = F.relu(self.enc_conv2a(first))
+        second = F.max_pool2d(F.relu(self.enc_conv2b(x)), 2)
+        x = F.relu(self.enc_conv3a(second))
+        third = F.max_pool2d(F.relu(self.enc_conv3b(x)), 2)
+        x = F.relu(self.enc_conv4a(third))
+        x = F.max_pool2d(F.relu(self.enc_conv4b(x)), 2)
+        x = F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
+        x = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(beside(x, third)))))
+        x = F.relu(self.dec_conv3b(F.relu(self.dec_conv3a(beside(x, second)))))
+        x = F.relu(self.dec_conv2b(F.relu(self.dec_conv2a(beside(x, first)))))
+        return F.relu(self.dec_conv1a(beside(x, guided)) + self.further(further))
+
+    def heads(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Picture, controls and error from the finest level, in full precision: a step of bfloat16
+        in a code is 2 % of the light."""
+        with torch.autocast(x.device.type, enabled=False):
+            x = x.float()
+            return activate(self.dec_conv1c(x), self.controls(x), self.error(x))
+
+
+def beside(coarser: Tensor, skip: Tensor) -> Tensor:
+    """The coarser level, enlarged, and what the finer one kept."""
+    return torch.cat((F.interpolate(coarser, scale_factor=2.0, mode="nearest"), skip), 1)
+
+
+def activate(codes: Tensor, controls: Tensor, error: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The network's outputs from its last convolutions."""
+    light = decode(codes.clamp(0, 1))
+    shares = torch.sigmoid(controls[:, :IMPORTANCE])
+    one = torch.ones_like(controls[:, IMPORTANCE:MEMORY])
+    known = torch.cat((shares, one, torch.tanh(controls[:, MEMORY:])), 1)
+    return torch.log1p(light), known, error.clamp(LEAST_LOG_ERROR, MOST_LOG_ERROR)
+
+
+def network_inputs(features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
+    """The inputs of Open Image Denoise (N, 9, h, w), and the further ones (N, 47, h, w), from the features."""
+    diffuse, specular, normal = features[:, 9:12], features[:, 12:15], features[:, 15:18]
+    factor = ops.demodulation(diffuse, specular)
+    colour, accumulated, history = (
+        encode((torch.expm1(features[:, first:first + 3]) * factor).clamp(0, MOST_LIGHT))
+        for first in (0, 3, 6))
+    total = (diffuse + specular).clamp(0, 1)
+    followed = mirrored[:, :3]
+    albedo = torch.where(followed.amax(1, keepdim=True) > 0, followed, total)
+    guided = torch.cat((colour, albedo, 0.5 * normal + 0.5), 1)
+    return guided, torch.cat((features, mirrored, history, accumulated), 1)
+
+
+class PictureDenoiser(nn.Module):
+    """One recurrent step at the render's own size, with the interface of `model.DenoiseUpscale`."""
+
+    def __init__(self, trunk: PictureNetwork | None = None):
+        super().__init__()
+        self.trunk = trunk or PictureNetwork()
+        self.config = self.trunk.config
+
+    def step(self, inputs: Inputs, state: State) -> Step:
+        """A frame, with all that the network says of it. Raises ValueError if the output has another size."""
+        h, w = inputs.colour.shape[-2:]
+        if state.output.shape[-2:] != (h, w):
+            raise ValueError(f"a picture network keeps the size {h}x{w}, not {tuple(state.output.shape[-2:])}")
+        past = network.reproject(inputs, state)
+        factor = ops.demodulation(inputs.diffuse_albedo, inputs.specular_albedo)
+        scale = ops.depth_scale(inputs.depth)
+        seen = [network.features(inputs, past, factor, scale), network.mirrored_features(inputs)]
+        padded = (network.mirror_to_multiple(x, self.trunk.align) for x in seen)
+        picture, controls, error = (x[..., :h, :w] for x in self.trunk(*padded))
+        noisy = network.hold(network.demodulate(inputs.colour, factor))
+        distrust = controls[:, DISTRUST:IMPORTANCE]
+        accumulated, count = network.accumulate(noisy, past.accumulated, past.count, distrust)
+        share = past.inside * (1 - controls[:, BLEND:DISTRUST])
+        output = picture + share * (past.output - picture)
+        state = State(output, accumulated, count, controls[:, MEMORY:], inputs.depth,
+                      torch.ones_like(state.fresh))
+        return Step(torch.expm1(output), state, past.output, error)
