@@ -1,4 +1,4 @@
-"""Begin with published weights: those of Open Image Denoise's large network, as a checkpoint for --start.
+"""Begin with published weights: those of Open Image Denoise, as a checkpoint for --start.
 
     python -m training.denoise.open_weights -o start.pt
 
@@ -24,8 +24,8 @@ from torch import Tensor
 from training.denoise.checkpoint import PREFIX, save
 from training.denoise.picture import PictureConfig
 
-NETWORK = "rt_hdr_calb_cnrm_large"
-SOURCE = "Open Image Denoise 2.5.1, Apache License 2.0, network rt_hdr_calb_cnrm_large"
+NETWORK = "rt_hdr_alb_nrm"
+SOURCE = "Open Image Denoise 2.5.1, Apache License 2.0, network rt_hdr_alb_nrm"
 MAGIC = 0x41D7  # of a TZA archive
 TYPES = {"f": "<f4", "h": "<f2"}
 SYMBOLS = 11  # type of an ELF section: the dynamic symbol table

@@ -1,10 +1,10 @@
 """A network that gives the denoised picture itself: the best one of the denoiser at 1x.
 
 The trunks of `model.py` and `residual.py` predict filters, so a pixel stays within the hull of its
-neighbours. This one is a U-Net that predicts the colour of each pixel. It has the layers of the
-large network of Open Image Denoise 2.5 (Apache-2.0), so that a training may begin with the weights
-that were published with it (`open_weights.py`) and teach them what that network has not: the noise
-of planes, Blender's planes that follow mirrors, and the history.
+neighbours. This one is a U-Net that predicts the colour of each pixel. It has the layers of Open
+Image Denoise's network for noisy planes (2.5, Apache-2.0), so that a training may begin with the
+weights that were published with it (`open_weights.py`) and teach them what that network has not:
+Blender's planes that follow mirrors, and the history.
 
 Its first nine inputs are those of Open Image Denoise: colour behind the curve `encode`, albedo and
 normal. The others are the features of `model.features`, the last output and the accumulated colour
@@ -77,17 +77,23 @@ def decode(codes: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class PictureConfig:
-    """Layout of the network: the channels of the levels at 1, 1/2, 1/4, 1/8 and 1/16 of the size."""
+    """Layout of the network.
+
+    ``down`` are the channels on the way down at 1, 1/2, 1/4, 1/8 and 1/16 of the size, ``up`` those on the way up at
+    1, 1/2, 1/4 and 1/8; ``last`` is what the last convolutions read.
+    """
 
     picture: bool = True
-    channels: tuple[int, ...] = (64, 96, 128, 192, 256)
+    down: tuple[int, ...] = (32, 48, 64, 80, 96)
+    up: tuple[int, ...] = (64, 64, 96, 112)
+    last: int = 32
     trust: bool = False
     guides: bool = False
     mirrored: bool = True
 
     def __post_init__(self) -> None:
-        if len(self.channels) != LEVELS + 1:
-            raise ValueError(f"{LEVELS + 1} levels: {self}")
+        if not len(self.down) == len(self.up) + 1 == LEVELS + 1:
+            raise ValueError(f"{LEVELS + 1} channels down and {LEVELS} up: {self}")
 
     @property
     def align(self) -> int:
@@ -100,18 +106,20 @@ class PictureConfig:
     @classmethod
     def from_dict(cls, config: dict[str, Any]) -> PictureConfig:
         known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
-        return cls(**{**known, "channels": tuple(known["channels"])})
+        return cls(**{**known, "down": tuple(known["down"]), "up": tuple(known["up"])})
 
     def products(self) -> float:
         """Multiplications of the network a render pixel."""
-        modules = PictureNetwork(self).named_modules()
         total = 0.0
-        for name, module in modules:
+        for name, module in PictureNetwork(self).named_modules():
             if isinstance(module, nn.Conv2d):
-                digits = [int(letter) for letter in name if letter.isdigit()]
-                level = digits[0] - 1 if digits else 0
-                total += module.weight.numel() / 4 ** level
+                total += module.weight.numel() / 4 ** LEVEL_OF.get(name, 0)
         return total
+
+
+LEVEL_OF = {"enc_conv2": 1, "enc_conv3": 2, "enc_conv4": 3, "enc_conv5a": 4, "enc_conv5b": 4,
+            "dec_conv4a": 3, "dec_conv4b": 3, "dec_conv3a": 2, "dec_conv3b": 2, "dec_conv2a": 1, "dec_conv2b": 1}
+"""Levels of convolutions below the render size."""
 
 
 def conv(inputs: int, outputs: int) -> nn.Conv2d:
@@ -131,29 +139,28 @@ class PictureNetwork(nn.Module):
         super().__init__()
         self.config = config or PictureConfig()
         self.align = self.config.align
-        one, two, three, four, five = self.config.channels
-        self.enc_conv1a = conv(GUIDED_INPUTS + FURTHER_INPUTS, one)
-        self.enc_conv1b = conv(one, one)
-        self.enc_conv2a = conv(one, two)
-        self.enc_conv2b = conv(two, two)
-        self.enc_conv3a = conv(two, three)
-        self.enc_conv3b = conv(three, three)
-        self.enc_conv4a = conv(three, four)
-        self.enc_conv4b = conv(four, four)
+        one, two, three, four, five = self.config.down
+        up_one, up_two, up_three, up_four = self.config.up
+        last = self.config.last
+        self.enc_conv0 = conv(GUIDED_INPUTS + FURTHER_INPUTS, one)
+        self.enc_conv1 = conv(one, one)
+        self.enc_conv2 = conv(one, two)
+        self.enc_conv3 = conv(two, three)
+        self.enc_conv4 = conv(three, four)
         self.enc_conv5a = conv(four, five)
         self.enc_conv5b = conv(five, five)
-        self.dec_conv4a = conv(five + three, four)
-        self.dec_conv4b = conv(four, four)
-        self.dec_conv3a = conv(four + two, three)
-        self.dec_conv3b = conv(three, three)
-        self.dec_conv2a = conv(three + one, two)
-        self.dec_conv2b = conv(two, two)
-        self.dec_conv1a = conv(two + GUIDED_INPUTS, one)
-        self.dec_conv1b = conv(one, one)
-        self.dec_conv1c = conv(one, 3)
-        self.further = nn.Conv2d(FURTHER_INPUTS, one, 1)
-        self.controls = nn.Conv2d(one, CONTROLS, 1)
-        self.error = nn.Conv2d(one, 1, 1)
+        self.dec_conv4a = conv(five + three, up_four)
+        self.dec_conv4b = conv(up_four, up_four)
+        self.dec_conv3a = conv(up_four + two, up_three)
+        self.dec_conv3b = conv(up_three, up_three)
+        self.dec_conv2a = conv(up_three + one, up_two)
+        self.dec_conv2b = conv(up_two, up_two)
+        self.dec_conv1a = conv(up_two + GUIDED_INPUTS, up_one)
+        self.dec_conv1b = conv(up_one, last)
+        self.dec_conv0 = conv(last, 3)
+        self.further = nn.Conv2d(FURTHER_INPUTS, up_one, 1)
+        self.controls = nn.Conv2d(last, CONTROLS, 1)
+        self.error = nn.Conv2d(last, 1, 1)
         nn.init.zeros_(self.further.weight)
         nn.init.zeros_(self.further.bias)
         for head in (self.controls, self.error):
@@ -175,14 +182,11 @@ class PictureNetwork(nn.Module):
 
     def features_of(self, guided: Tensor, further: Tensor) -> Tensor:
         """The finest level's stream before its last two convolutions."""
-        x = F.relu(self.enc_conv1a(torch.cat((guided, further), 1)))
-        first = F.max_pool2d(F.relu(self.enc_conv1b(x)), 2)
-        x = F.relu(self.enc_conv2a(first))
-        second = F.max_pool2d(F.relu(self.enc_conv2b(x)), 2)
-        x = F.relu(self.enc_conv3a(second))
-        third = F.max_pool2d(F.relu(self.enc_conv3b(x)), 2)
-        x = F.relu(self.enc_conv4a(third))
-        x = F.max_pool2d(F.relu(self.enc_conv4b(x)), 2)
+        x = F.relu(self.enc_conv0(torch.cat((guided, further), 1)))
+        first = F.max_pool2d(F.relu(self.enc_conv1(x)), 2)
+        second = F.max_pool2d(F.relu(self.enc_conv2(first)), 2)
+        third = F.max_pool2d(F.relu(self.enc_conv3(second)), 2)
+        x = F.max_pool2d(F.relu(self.enc_conv4(third)), 2)
         x = F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
         x = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(beside(x, third)))))
         x = F.relu(self.dec_conv3b(F.relu(self.dec_conv3a(beside(x, second)))))
@@ -194,7 +198,7 @@ class PictureNetwork(nn.Module):
         in a code is 2 % of the light."""
         with torch.autocast(x.device.type, enabled=False):
             x = x.float()
-            return activate(self.dec_conv1c(x), self.controls(x), self.error(x))
+            return activate(self.dec_conv0(x), self.controls(x), self.error(x))
 
 
 def beside(coarser: Tensor, skip: Tensor) -> Tensor:
