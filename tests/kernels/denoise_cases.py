@@ -28,7 +28,7 @@ from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRE
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, means_size
 from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, LEVEL, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
+from postfx.kernels.denoise.upsample import BLEND_PICTURE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
 from postfx.kernels.partner import ENLARGE_MOTION, MIX_PARTNER
 from postfx.passes.denoise.tiling import Sizes, Window
@@ -39,7 +39,7 @@ KERNELS = (
     SCALE, DILATE, HISTORY, FEATURE,
     GUIDE, MIRROR, TRUST, ACCUMULATE, POOL,
     MIX_LEVELS, REMODULATE_BOTH, MEANS,
-    FILTER, REMODULATE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED,
+    FILTER, REMODULATE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED, BLEND_PICTURE,
     RESIZE, REFLECTIONS, JUDGE, DETAIL,
     RESTORE, STRENGTH, RESAMPLE, REACTIVE,
     SPREAD_MASK, KEEP, ENLARGE, OVER, OVER_ALPHA, ASSEMBLE,
@@ -130,7 +130,8 @@ def runs_of(kernel: Kernel) -> list[tuple[Case, bool]]:
 
 def case_for(kernel: Kernel, case: Case) -> Case:
     """The case, with an output of the render size for the kernel that runs only there."""
-    return case._replace(height=case.h, width=case.w) if kernel.name.startswith(UPSAMPLE_UNSCALED.name) else case
+    unscaled = kernel.name.startswith((UPSAMPLE_UNSCALED.name, BLEND_PICTURE.name))
+    return case._replace(height=case.h, width=case.w) if unscaled else case
 
 
 def shape(kernel: Kernel, binding: str, case: Case) -> tuple[int, ...]:
@@ -213,7 +214,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return 2 * unit - 1
     if name in ("depth", "last_depth", "guide_depth"):
         return np.where(random.random(size) < 0.05, 1e10, 1 + 9 * unit)
-    if name in ("history", "warped"):
+    if name in ("history", "warped", "picture"):
         return 5 * unit**3
     if name == "sums":
         power = (4.0, 0.18, 32.0, 4.0)[case.h % 4]  # neither faint nor loud; between filtered or not; and loud or not

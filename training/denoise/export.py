@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import nn
 
+from postfx.kernels.denoise import CONTROLS as CONTROL_COUNT
 from postfx.kernels.denoise import FINE, GUIDES, HIDDEN, KERNEL, MIRRORED, PHASES
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, TRUST
@@ -35,17 +36,17 @@ from postfx.kernels.denoise.output import ASSEMBLE, DETAIL, JUDGE, RESTORE, STRE
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, REFLECT, UPSAMPLE_LIGHT
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE
 from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, LEVEL, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
-from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
+from postfx.kernels.denoise.upsample import BLEND_PICTURE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
 from postfx.kernels.partner import ENLARGE_MOTION, MIX_PARTNER
 from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
-from postfx.passes.denoise.network import ERROR, FEATURE_PARTS, FINE_LOGITS, PHASED_FINE
+from postfx.passes.denoise.network import CONTROLS, ERROR, FEATURE_PARTS, FINE_LOGITS, PHASED_FINE, PICTURE
 from training.denoise.model import LEVELS, Trunk, TrunkConfig, filters, stem
+from training.denoise.picture import PictureConfig, PictureNetwork, layout_from
 from training.denoise.residual import (
     STEEPEST,
     ResidualConfig,
     ResidualTrunk,
-    layout_from,
     normalise,
 )
 from training.export import export, export_kernel, parity, parser, read_quality, write_card, write_model
@@ -60,10 +61,16 @@ CONTENT = (f"logits of 5x5 kernel {KERNEL}, 3x3 weights at four phases {PHASES},
 MEANING = {
     PHASED_FINE: f"{CONTENT}; of each the four phases of 2x2 pixels",
     FINE_LOGITS: CONTENT,
+    PICTURE: "log(1 + exposed colour)",
+    CONTROLS: f"share of the picture beside the history, distrust of what was accumulated, 1, hidden state {HIDDEN}",
     ERROR: "natural logarithm of the expected squared error of each pixel, in sRGB code values of x / (1 + x)",
     "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
     "level4": f"5x5 kernel {KERNEL}",
 }
+Layout = TrunkConfig | ResidualConfig | PictureConfig
+Network = Trunk | ResidualTrunk | PictureNetwork
+COUNTS = {PHASED_FINE: 4 * FINE, FINE_LOGITS: FINE, PICTURE: 3, CONTROLS: CONTROL_COUNT, ERROR: 1, "level4": KERNEL}
+"""Channels of the outputs; other levels have a mix, too."""
 ALIKE = "the same at all pixels"
 HALO = 64
 """Render pixels around a window of a residual network: on five sequences at 1x with the network `l`, the result then
@@ -99,6 +106,7 @@ KERNELS = {
     UPSAMPLE: kernels.Upsample,
     UPSAMPLE_GUIDED: kernels.UpsampleGuided,
     UPSAMPLE_UNSCALED: kernels.UpsampleUnscaled,
+    BLEND_PICTURE: kernels.BlendPicture,
     REFLECT: parts.Reflect,
     ACCUMULATE_PART: parts.AccumulatePart,
     UPSAMPLE_LIGHT: parts.UpsampleLight,
@@ -143,31 +151,34 @@ def export_kernels(folder: Path) -> None:
         export_kernel(kernel, definition(), SIZES, folder)
 
 
-def load_trunk(checkpoint: dict[str, Any]) -> Trunk | ResidualTrunk:
+def load_trunk(checkpoint: dict[str, Any]) -> Network:
     """The trunk of a checkpoint of train.py: weights rounded to half precision, kept as float32."""
     layout = layout_from(checkpoint["config"])
-    trunk = ResidualTrunk(layout) if isinstance(layout, ResidualConfig) else Trunk(layout)
+    kinds = {ResidualConfig: ResidualTrunk, PictureConfig: PictureNetwork}
+    trunk = kinds.get(type(layout), Trunk)(layout)
     weights = {key.removeprefix("trunk."): value.half().float() for key, value in checkpoint["weights"].items()}
     trunk.load_state_dict(weights)
     return trunk.eval()
 
 
-def example(trunk: Trunk | ResidualTrunk, height: int, width: int) -> tuple[torch.Tensor, ...]:
+def example(trunk: Network, height: int, width: int) -> tuple[torch.Tensor, ...]:
     """Features, and guides or planes where the network reads them, with the ranges of real ones."""
     generator = torch.Generator().manual_seed(0)
     sizes = inputs(trunk.config).values()
     return tuple(torch.rand(1, channels, height, width, generator=generator) * 2 - 0.5 for channels in sizes)
 
 
-def inputs(config: TrunkConfig | ResidualConfig) -> dict[str, int]:
+def inputs(config: Layout) -> dict[str, int]:
     """Names of the network's inputs and their channels."""
     further = {"guides": GUIDES} if config.guides else {}
     return FEATURE_PARTS | further | ({"mirrored": MIRRORED} if config.mirrored else {})
 
 
-def outputs(config: TrunkConfig | ResidualConfig) -> tuple[str, ...]:
+def outputs(config: Layout) -> tuple[str, ...]:
     """Names of the network's outputs."""
     levels = tuple(f"level{level}" for level in range(1, LEVELS + 1))
+    if isinstance(config, PictureConfig):
+        return PICTURE, CONTROLS, ERROR
     if not isinstance(config, ResidualConfig):
         return PHASED_FINE, *levels
     return FINE_LOGITS, *levels, *((ERROR,) if config.mirrored else ())
@@ -220,12 +231,25 @@ class ExportedResidual(ResidualTrunk):
         return self.fine(stream), *levels, *ends
 
 
-def exported(trunk: Trunk | ResidualTrunk) -> nn.Module:
+class ExportedPicture(PictureNetwork):
+    """The same network, except that it reads the features in parts."""
+
+    def __init__(self, trunk: PictureNetwork):
+        super().__init__(trunk.config)
+        self.load_state_dict(trunk.state_dict())
+
+    def forward(self, first: torch.Tensor, last: torch.Tensor, mirrored: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        return super().forward(torch.cat((first, last), 1), mirrored)
+
+
+def exported(trunk: Network) -> nn.Module:
     """The network as its file holds it."""
+    if isinstance(trunk, PictureNetwork):
+        return ExportedPicture(trunk)
     return ExportedResidual(trunk) if isinstance(trunk, ResidualTrunk) else ExportedTrunk(trunk)
 
 
-def export_trunk(trunk: Trunk | ResidualTrunk, path: Path) -> float:
+def export_trunk(trunk: Network, path: Path) -> float:
     """Write the network and compare it with torch; returns the largest relative error. Raises ParityError."""
     # torch checks that the sizes of skip connections match, so it must know what the input is a multiple of.
     free = {2: trunk.align * torch.export.Dim("rows", min=1), 3: trunk.align * torch.export.Dim("columns", min=1)}
@@ -240,13 +264,13 @@ def export_trunk(trunk: Trunk | ResidualTrunk, path: Path) -> float:
     return error
 
 
-def has_level(config: TrunkConfig | ResidualConfig, output: str) -> bool:
+def has_level(config: Layout, output: str) -> bool:
     """Whether the network computes an output, which otherwise is the same at all pixels."""
-    return isinstance(config, ResidualConfig) or output == PHASED_FINE or int(output[-1]) <= len(config.widths)
+    return not isinstance(config, TrunkConfig) or output == PHASED_FINE or int(output[-1]) <= len(config.widths)
 
 
 def _channels(name: str) -> int:
-    return {PHASED_FINE: 4 * FINE, FINE_LOGITS: FINE, ERROR: 1, "level4": KERNEL}.get(name, KERNEL + 1)
+    return COUNTS.get(name, KERNEL + 1)
 
 
 def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, Any]) -> dict[str, Any]:
@@ -274,18 +298,18 @@ def card(checkpoint: dict[str, Any], tag: str, error: float, quality: dict[str, 
     }
 
 
-def _manners(config: TrunkConfig | ResidualConfig) -> dict[str, Any]:
+def _manners(config: Layout) -> dict[str, Any]:
     """How a network is run, where not as most are: with the planes of volumes, and with a halo of its own."""
-    if not isinstance(config, ResidualConfig):
+    if isinstance(config, TrunkConfig):
         return {}
     return {"blanks_volumes": False, "halo": min(HALO, config.sees)}
 
 
-def _output(config: TrunkConfig | ResidualConfig, name: str) -> dict[str, Any]:
+def _output(config: Layout, name: str) -> dict[str, Any]:
     meaning = MEANING.get(name, MEANING["level"])
     if not has_level(config, name):
         return {"shape": [1, _channels(name), 1, 1], "meaning": f"{meaning}; {ALIKE}", "constant": True}
-    if name in (FINE_LOGITS, ERROR):
+    if name in (FINE_LOGITS, PICTURE, CONTROLS, ERROR):
         return {"shape": [1, _channels(name), "height", "width"], "meaning": meaning}
     level = 1 if name == PHASED_FINE else int(name[-1])
     return {"shape": [1, _channels(name), f"height/{2**level}", f"width/{2**level}"], "meaning": meaning}

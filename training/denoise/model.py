@@ -212,9 +212,14 @@ def resolve(radiance: Tensor, fine: Tensor, jitter: Tensor, warped: Tensor, insi
         pictures = (torch.lerp(plain, exact * guided.factor, guided.trust)
                     for exact, plain in (picture.chunk(2, 1) for picture in pictures))
     detail, soft = (ops.log_encode(x) for x in pictures)
-    current = (detail + sharpen * (detail - soft)).clamp(min=0)
+    return blend_with_history((detail + sharpen * (detail - soft)).clamp(min=0), warped, inside * (1 - blend))
+
+
+def blend_with_history(current: Tensor, warped: Tensor, share: Tensor) -> Tensor:
+    """A picture and the reprojected history, of which a ``share`` (N, 1, H, W) is kept; all log-encoded. Broken values
+    count as 0."""
     current = torch.where(current <= MOST_LOG, current, 0)
-    mixed = current + inside * (1 - blend) * (warped - current)  # an infinite history stays infinite at any share
+    mixed = current + share * (warped - current)  # an infinite history stays infinite at any share
     return torch.where(mixed <= MOST_LOG, mixed.clamp(min=0), current)  # rounding could make light negative
 
 

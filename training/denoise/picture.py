@@ -24,8 +24,8 @@ from postfx.kernels.denoise import FEATURES, HIDDEN, MIRRORED
 from postfx.kernels.denoise.network_io import LEAST_LOG_ERROR, MOST_LOG_ERROR
 from training import ops
 from training.denoise import model as network
-from training.denoise.model import Inputs, State, Step
-from training.denoise.residual import USUAL_ERROR
+from training.denoise.model import Inputs, State, Step, TrunkConfig
+from training.denoise.residual import USUAL_ERROR, ResidualConfig
 
 # The curve of colour in Open Image Denoise's HDR networks, in which equal steps look alike over the
 # range of half precision: linear, then a power, then a logarithm.
@@ -46,6 +46,9 @@ LEAST_BASE = 1e-12  # of a power, whose gradient at 0 is infinite
 
 GUIDED_INPUTS = 9  # colour, albedo, normal: what Open Image Denoise reads
 FURTHER_INPUTS = FEATURES + MIRRORED + 6
+HISTORY = FURTHER_INPUTS - 3  # where the codes of the last output begin among them
+BESIDE = 32  # channels of the branch beside the published network
+JUDGE = 24  # channels of what compares the picture with the history
 LEVELS = 4
 BLEND_BEGINS = 0.5  # logit of the new picture's share beside the history
 DISTRUST_BEGINS = -2.0  # logit
@@ -96,6 +99,11 @@ class PictureConfig:
             raise ValueError(f"{LEVELS + 1} channels down and {LEVELS} up: {self}")
 
     @property
+    def sees(self) -> int:
+        """Pixels of the render size that the network sees around each, as far as they matter."""
+        return 4 + sum(4 << level for level in range(LEVELS + 1))
+
+    @property
     def align(self) -> int:
         """Height and width of the network's input are multiples of this."""
         return 2 ** LEVELS
@@ -142,7 +150,7 @@ class PictureNetwork(nn.Module):
         one, two, three, four, five = self.config.down
         up_one, up_two, up_three, up_four = self.config.up
         last = self.config.last
-        self.enc_conv0 = conv(GUIDED_INPUTS + FURTHER_INPUTS, one)
+        self.enc_conv0 = conv(GUIDED_INPUTS, one)
         self.enc_conv1 = conv(one, one)
         self.enc_conv2 = conv(one, two)
         self.enc_conv3 = conv(two, three)
@@ -158,11 +166,16 @@ class PictureNetwork(nn.Module):
         self.dec_conv1a = conv(up_two + GUIDED_INPUTS, up_one)
         self.dec_conv1b = conv(up_one, last)
         self.dec_conv0 = conv(last, 3)
-        self.further = nn.Conv2d(FURTHER_INPUTS, up_one, 1)
-        self.controls = nn.Conv2d(last, CONTROLS, 1)
-        self.error = nn.Conv2d(last, 1, 1)
-        nn.init.zeros_(self.further.weight)
-        nn.init.zeros_(self.further.bias)
+        self.enter = nn.Conv2d(FURTHER_INPUTS, one, 3, padding=1, bias=False)
+        self.beside = nn.Sequential(conv(GUIDED_INPUTS + FURTHER_INPUTS, BESIDE), nn.ReLU(),
+                                    conv(BESIDE, BESIDE), nn.ReLU())
+        self.join = nn.Conv2d(BESIDE, up_one, 1)
+        self.judge = nn.Sequential(conv(last + BESIDE + 6, JUDGE), nn.ReLU())
+        self.controls = nn.Conv2d(JUDGE, CONTROLS, 1)
+        self.error = nn.Conv2d(JUDGE, 1, 1)
+        for added in (self.enter, self.join):
+            nn.init.zeros_(added.weight)
+        nn.init.zeros_(self.join.bias)
         for head in (self.controls, self.error):
             nn.init.normal_(head.weight, std=HEAD_STD)
             nn.init.zeros_(head.bias)
@@ -171,18 +184,21 @@ class PictureNetwork(nn.Module):
         nn.init.constant_(self.error.bias, USUAL_ERROR)
 
     def forward(self, features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        guided, further = self.read(features, mirrored)
-        x = F.relu(self.dec_conv1b(self.features_of(guided, further)))
-        return self.heads(x)
+        guided, further = network_inputs(features, mirrored)
+        known = self.beside(torch.cat((guided, further), 1))
+        stream = self.published_stream(guided, further) + self.join(known)
+        stream = F.relu(self.dec_conv1b(F.relu(stream)))
+        with torch.autocast(stream.device.type, enabled=False):  # a step of bfloat16 in a code is 2 % of the light
+            codes = self.dec_conv0(stream.float()).clamp(0.0, 1.0)
+        history = further[:, HISTORY:]
+        judged = self.judge(torch.cat((stream, known, codes, codes - history), 1))
+        with torch.autocast(stream.device.type, enabled=False):
+            judged = judged.float()
+            return activate(codes, self.controls(judged), self.error(judged))
 
-    @staticmethod
-    def read(features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
-        """The inputs of Open Image Denoise (N, 9, h, w), and the further ones."""
-        return network_inputs(features, mirrored)
-
-    def features_of(self, guided: Tensor, further: Tensor) -> Tensor:
-        """The finest level's stream before its last two convolutions."""
-        x = F.relu(self.enc_conv0(torch.cat((guided, further), 1)))
+    def published_stream(self, guided: Tensor, further: Tensor) -> Tensor:
+        """The finest level's stream before the last three convolutions."""
+        x = F.relu(self.enc_conv0(guided) + self.enter(further))
         first = F.max_pool2d(F.relu(self.enc_conv1(x)), 2)
         second = F.max_pool2d(F.relu(self.enc_conv2(first)), 2)
         third = F.max_pool2d(F.relu(self.enc_conv3(second)), 2)
@@ -191,14 +207,11 @@ class PictureNetwork(nn.Module):
         x = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(beside(x, third)))))
         x = F.relu(self.dec_conv3b(F.relu(self.dec_conv3a(beside(x, second)))))
         x = F.relu(self.dec_conv2b(F.relu(self.dec_conv2a(beside(x, first)))))
-        return F.relu(self.dec_conv1a(beside(x, guided)) + self.further(further))
+        return self.dec_conv1a(beside(x, guided))
 
-    def heads(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Picture, controls and error from the finest level, in full precision: a step of bfloat16
-        in a code is 2 % of the light."""
-        with torch.autocast(x.device.type, enabled=False):
-            x = x.float()
-            return activate(self.dec_conv0(x), self.controls(x), self.error(x))
+    def published(self) -> list[nn.Parameter]:
+        """Weights that a published network has, too."""
+        return [weight for name, weight in self.named_parameters() if name.startswith(("enc_", "dec_"))]
 
 
 def beside(coarser: Tensor, skip: Tensor) -> Tensor:
@@ -208,7 +221,7 @@ def beside(coarser: Tensor, skip: Tensor) -> Tensor:
 
 def activate(codes: Tensor, controls: Tensor, error: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The network's outputs from its last convolutions."""
-    light = decode(codes.clamp(0, 1))
+    light = decode(codes)
     shares = torch.sigmoid(controls[:, :IMPORTANCE])
     one = torch.ones_like(controls[:, IMPORTANCE:MEMORY])
     known = torch.cat((shares, one, torch.tanh(controls[:, MEMORY:])), 1)
@@ -220,13 +233,13 @@ def network_inputs(features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
     diffuse, specular, normal = features[:, 9:12], features[:, 12:15], features[:, 15:18]
     factor = ops.demodulation(diffuse, specular)
     colour, accumulated, history = (
-        encode((torch.expm1(features[:, first:first + 3]) * factor).clamp(0, MOST_LIGHT))
+        encode((torch.expm1(features[:, first:first + 3]) * factor).clamp(0.0, MOST_LIGHT))
         for first in (0, 3, 6))
-    total = (diffuse + specular).clamp(0, 1)
+    total = (diffuse + specular).clamp(0.0, 1.0)
     followed = mirrored[:, :3]
     albedo = torch.where(followed.amax(1, keepdim=True) > 0, followed, total)
     guided = torch.cat((colour, albedo, 0.5 * normal + 0.5), 1)
-    return guided, torch.cat((features, mirrored, history, accumulated), 1)
+    return guided, torch.cat((features, mirrored, accumulated, history), 1)
 
 
 class PictureDenoiser(nn.Module):
@@ -252,7 +265,13 @@ class PictureDenoiser(nn.Module):
         distrust = controls[:, DISTRUST:IMPORTANCE]
         accumulated, count = network.accumulate(noisy, past.accumulated, past.count, distrust)
         share = past.inside * (1 - controls[:, BLEND:DISTRUST])
-        output = picture + share * (past.output - picture)
+        output = network.blend_with_history(picture, past.output, share)
         state = State(output, accumulated, count, controls[:, MEMORY:], inputs.depth,
                       torch.ones_like(state.fresh))
         return Step(torch.expm1(output), state, past.output, error)
+
+
+def layout_from(config: dict[str, Any]) -> TrunkConfig | ResidualConfig | PictureConfig:
+    """The layout that a checkpoint's config tells."""
+    kind = PictureConfig if config.get("picture") else ResidualConfig if "down" in config else TrunkConfig
+    return kind.from_dict(config)

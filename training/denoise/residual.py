@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from postfx.kernels import denoise as layout
 from postfx.kernels.denoise import FEATURES, FINE, KERNEL, MIRRORED, MIX, SHARPEN
 from postfx.kernels.denoise.network_io import LEAST_LOG_ERROR, MOST_LOG_ERROR
-from training.denoise.model import LEVELS, NO_SHARPENING, TrunkConfig, activate_fine, filters
+from training.denoise.model import LEVELS, NO_SHARPENING, activate_fine, filters
 
 BRANCH = 0.2  # of the usual first weights of what a block adds
 STEEPEST = float(layout.STEEPEST)  # logits stay within this; torch compiles no numbers of NumPy
@@ -181,9 +181,3 @@ class ResidualTrunk(nn.Module):
         if self.error is None:
             return fine, *levels
         return fine, *levels, self.error(stream).float().clamp(LEAST_LOG_ERROR, MOST_LOG_ERROR)
-
-
-def layout_from(config: dict[str, Any]) -> TrunkConfig | ResidualConfig:
-    """The layout that a checkpoint's config tells."""
-    kind = ResidualConfig if "down" in config else TrunkConfig
-    return kind.from_dict(config)

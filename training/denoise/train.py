@@ -74,6 +74,8 @@ def options() -> argparse.ArgumentParser:
                         "(residual.py), of which --widths, --down and --up tell the layout")
     parser.add_argument("--picture", action="store_true", help="a network that gives the picture itself (picture.py); "
                         "--start with the file of training.denoise.open_weights")
+    parser.add_argument("--published-rate", type=float, default=0.05, metavar="SHARE", help="with --picture: of the "
+                        "learning rate, for the weights of a published network; 0 keeps them (default: %(default)s)")
     parser.add_argument("--down", type=int, nargs="+", default=list(ResidualConfig.down), metavar="N",
                         help="with --residual: blocks of each level on the way down")
     parser.add_argument("--up", type=int, nargs="+", default=list(ResidualConfig.up), metavar="N",
@@ -165,6 +167,19 @@ def trunk_of(args: argparse.Namespace) -> Trunk | ResidualTrunk:
 def network_of(args: argparse.Namespace) -> DenoiseUpscale | PictureDenoiser:
     """The denoiser of the arguments, with random weights."""
     return PictureDenoiser() if args.picture else DenoiseUpscale(trunk=trunk_of(args))
+
+
+def rate_groups(model: DenoiseUpscale | PictureDenoiser, published: float) -> list[dict[str, Any]]:
+    """The weights that are learnt, by the share of the learning rate that they get; others are frozen."""
+    if not isinstance(model, PictureDenoiser):
+        return [{"params": list(model.parameters()), "share": 1.0}]
+    before = model.trunk.published()
+    own = [weight for weight in model.parameters() if not any(weight is other for other in before)]
+    if published:
+        return [{"params": own, "share": 1.0}, {"params": before, "share": published}]
+    for weight in before:
+        weight.requires_grad_(False)
+    return [{"params": own, "share": 1.0}]
 
 
 def runs_both_ways(step: int, share: float) -> bool:
@@ -288,11 +303,12 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
     model = model.to(device, memory_format=torch.channels_last)
     if args.start:
         model.load_state_dict(widen(load_weights(args.start, args.trust), model.state_dict()))
+    groups = rate_groups(model, args.published_rate)
     average = Average(model, DECAY)
     loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance)
-    flat = FlatGradient(list(model.parameters()))
+    flat = FlatGradient([weight for group in groups for weight in group["params"]])
     gradient = GradientStep(loss, flat)
-    optimiser = torch.optim.AdamW(model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,
+    optimiser = torch.optim.AdamW(groups, lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,
                                   fused=device.type == "cuda")
     print(f"{len(pool)} clips to train on, {len(pool.validation)} held out", flush=True)
 
@@ -359,10 +375,11 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
                 save_stable()
         rate = rate_at(done, step - begun, args.rate, args.cool)
         for group in optimiser.param_groups:
-            group["lr"] = rate
+            group["lr"] = rate * group["share"]
         play = pick(playing, step, args)
         seed_all(args.seed, rank, play.begun)  # the same windows and augmentation for all turns
-        batch = augment(pool.draw(args.batch, args.crop, args.seed + play.begun, args.sparse_planes, play.turn, args.blend))
+        drawn = pool.draw(args.batch, args.crop, args.seed + play.begun, args.sparse_planes, play.turn, args.blend)
+        batch = augment(drawn)
         seed_all(args.seed, rank, step, "resets")
         if args.carry:
             batch = replace(batch, state=play.state or empty_state(batch.frames[0], *batch.references.shape[-2:]))

@@ -96,6 +96,15 @@ class Window(NamedTuple):
         return ops.pick(to_image(moved * scale), at.rows, at.columns)
 
 
+    def history_at(self, moved: Tensor, past: Tensor, warped: Tensor, keep: Tensor) -> tuple[ops.Centres, Tensor]:
+        """Positions of a part's pixels at output size, and how much of the history each may keep, (1, 1, H, W)."""
+        place = self.outputs(warped)
+        at = self.centres(place, moved)
+        held = ops.inside(self.enlarged_motion(moved, at), place, (self.height, self.width))
+        known = ops.pick((to_image(past)[:, 3:] >= 0).to(moved.dtype), at.rows, at.columns)
+        return at, held * known * shares(keep, at.rows, at.columns)
+
+
 def list_places(picture: Tensor) -> ops.Place:
     """Numbers of the rows and columns of a picture (h, w, C)."""
     return tuple(torch.arange(size, device=picture.device) for size in picture.shape[:2])
@@ -477,16 +486,27 @@ class UpsampleUnscaled(nn.Module):
         return resolve(radiance, fine, moved, past, warped, own, params, frame, keep)
 
 
+class BlendPicture(nn.Module):
+    """Picture (1, 3, hp, wp), log-encoded, controls (1, 11, hp, wp), moved (th, tw, 2), past (th, tw, 4),
+    warped (out_th, out_tw, 3), params, window, keep -> output, next_history (out_th, out_tw, 3), at the render size."""
+
+    def forward(self, picture: Tensor, controls: Tensor, moved: Tensor, past: Tensor, warped: Tensor, params: Tensor,
+                window: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
+        frame = Window.of(window)
+        at, held = frame.history_at(moved, past, warped, keep)
+        current = ops.pick(picture, at.rows, at.columns).clamp(min=0)
+        share = held * (1 - ops.pick(controls[:, :1], at.rows, at.columns))
+        encoded = network.blend_with_history(current, to_image(warped), share)
+        return to_picture(torch.expm1(encoded) / params[0]), to_picture(encoded)
+
+
 def resolve(radiance: Tensor, fine: Tensor, moved: Tensor, past: Tensor, warped: Tensor,
             guided: Reflectance | None, params: Tensor, frame: Window, keep: Tensor) -> tuple[Tensor, Tensor]:
     h, w = moved.shape[:2]
-    here, place = fine[:, :, :h, :w], frame.outputs(warped)
-    at = frame.centres(place, moved)
-    held = ops.inside(frame.enlarged_motion(moved, at), place, (frame.height, frame.width))
-    known = ops.pick((to_image(past)[:, 3:] >= 0).to(moved.dtype), at.rows, at.columns)
-    kept = shares(keep, at.rows, at.columns)
+    here = fine[:, :, :h, :w]
+    at, held = frame.history_at(moved, past, warped, keep)
     filtered = radiance[None, :, 1:1 + h, 1:1 + w]
-    encoded = network.resolve(filtered, here, params[None, 1:3], to_image(warped), held * known * kept, guided, at)
+    encoded = network.resolve(filtered, here, params[None, 1:3], to_image(warped), held, guided, at)
     return to_picture(torch.expm1(encoded) / params[0]), to_picture(encoded)
 
 

@@ -45,6 +45,9 @@ FINE = MEMORY + HIDDEN
 """Channels of the fine head: where its parts begin behind the 5x5 kernel, and how many there are."""
 PLANE_TRUST = FINE - 1
 """The last hidden channel, -1 to 1: how far networks that doubt planes trust a pixel's reflectance."""
+CONTROLS = FINE - MIX
+"""Channels of the controls of a network that gives the picture itself: those of a fine head from its mix on, which is
+the share of the picture beside the history here."""
 MIRRORED = 6
 """Channels of the planes that follow mirrors and glass: Denoising Albedo and Denoising Normal."""
 GUIDES = 4 * 11  # both albedos, normal, roughness and depth at the four quarter-pixel corners of a render pixel
@@ -106,6 +109,7 @@ SHAPES = PLANES | GUIDE_PLANES | MIRRORED_PLANES | {
     "radiance": (3, "padded_h", "padded_w"), "output": ("out_th", "out_tw", 3), "next_history": ("out_th", "out_tw", 3),
     "guides": (1, GUIDES, "hp", "wp"), "mirrored": (1, MIRRORED, "hp", "wp"), "trust": ("cells_h", "cells_w", 1),
     "means": ("means_h", "means_w", 3), "factor": ("th", "tw", 3),
+    "picture": (1, 3, "hp", "wp"), "controls": (1, CONTROLS, "hp", "wp"),
     "codes": (1, "half_hp", "half_wp", "codes"), "factors": ("rows", "codes"), "scaling": (2, "outputs"),
 }
 TYPES = {"codes": "uint8", "factors": "int8"}

@@ -225,6 +225,43 @@ static Status unscaled(Long first, Long last, Picture radiance, FineHead fine, B
 }
 EXPORT(denoise_upsample_unscaled, unscaled)
 
+// A picture that the network gives itself: its pixels are log-encoded, and the first control is the
+// share of each beside the history.
+struct AtPixel {
+    const Row& row;
+    Long x;
+
+    template <class F> FN_MEMBER F predicted(int) const { return load<F>(row.head.at + x); }
+    template <class F, int STEP> FN_MEMBER F render(const float* from) const {
+        return pick<F, STEP>(from + STEP * x);
+    }
+    template <class F> FN_MEMBER F column() const { return ramp<F>(float(row.left + x), 1.0f); }
+};
+
+static Status picture(Long first, Long last, View<const float, 4> picture, FineHead controls, BETWEEN, LAST) {
+    const Picture planes = {picture.at, {picture.size[1], picture.size[2], picture.size[3]}};
+    const Samples given = {planes, moved, past, *params, *window, keep};
+    const Rooms rooms(output.size[1], moved.size[1]);
+    if (!rooms) return NO_MEMORY;
+    for (Long n = first; n < last; n++) {
+        const Long y = smaller<Long>(Long(window->out_top) + n, Long(window->out_height) - 1);
+        const Long at = row_of(*window, n, moved.size[0]).index;
+        const Row row = row_of_samples(given, rooms, head_of(controls, at), y, at);
+        across(0, rooms.width, PIXELS(auto one, Long x) {
+            typedef decltype(one) F;
+            Lit<F> lit;
+            for (int c = 0; c < 3; c++) {
+                lit.rgb[c] = larger<F>(load<F>(row.radiance + c * row.plane + x), F(0.0f));
+            }
+            lit.trust = trust_of<F>(row, AtPixel{row, x});
+            keep_lit<F>(rooms, x, lit);
+        });
+        blend_row(rooms, warped(n), 1.0f / params->exposure, history(n), output(n));
+    }
+    return DONE;
+}
+EXPORT(denoise_blend_picture, picture)
+
 static Status plain_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
                           Scaling scaling, BETWEEN, LAST) {
     return plain_rows(first, last, GIVEN, Heads(codes, factors, scaling));

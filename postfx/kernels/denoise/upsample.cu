@@ -325,6 +325,26 @@ extern "C" __global__ void denoise_upsample_unscaled_half(View radiance, View fi
     upsample_unscaled<Half>(radiance, fine, moved, past, warped, factor, params, window, keep, output, next_history);
 }
 
+// A picture that the network gives itself, blended with the past: picture (1, 3, hp, wp), log-encoded, controls
+// (1, 11, hp, wp), of which the first is the picture's share, moved (th, tw, 2), past (th, tw, 4), warped (out_th, out_tw,
+// 3), params (4,), window (8,), keep -> output, next_history (out_th, out_tw, 3).
+extern "C" __global__ void denoise_blend_picture(View picture, View controls, View moved, View past, View warped,
+                                                 View params, View window, View keep, View output, View next_history) {
+    const int height = output.size[0], width = output.size[1];
+    PIXEL(width, height);
+    const Window part = window_of(window);
+    const int v = min(part.out_top + y, part.height - 1), u = min(part.out_left + x, part.width - 1);
+    const int row = within(v - part.top, moved.size[0]), column = within(u - part.left, moved.size[1]);
+    const size_t plane = size_t(picture.size[2]) * picture.size[3], at = size_t(row) * picture.size[3] + column;
+    const float* const motion = moved.at + 2 * (row * moved.size[1] + column);
+    const bool held = was_inside(u + motion[0], v + motion[1], part)
+                      && past.at[4 * (row * moved.size[1] + column) + 3] >= 0.0f;
+    const float kept = held ? share_of(keep, row, column) * (1.0f - controls.at[at]) : 0.0f;
+    const Enlarged found = {{fmaxf(picture.at[at], 0.0f), fmaxf(picture.at[plane + at], 0.0f),
+                             fmaxf(picture.at[2 * plane + at], 0.0f)}, kept};
+    blend_pixel(found, size_t(y) * width + x, params, warped, output, next_history);
+}
+
 // Enlarges light of n parts of the picture and blends it with the last outputs, where their pixels are now, all linear:
 // radiance (3 n, th + 2, tw + 2), fine (1, 80, hp, wp), moved (th, tw, 2), past (th, tw, 4), last (n, height, width, 3),
 // params (4,), window (8,), keep, out_rows (out_th,), out_columns (out_tw,) -> light (n, out_th, out_tw, 3).

@@ -72,5 +72,7 @@ CODES_GUIDED = kernel("upsample_guided_codes", (*CODED, *GUIDES_READ, *LAST), WR
 CODES_UNSCALED = kernel("upsample_unscaled_codes", (*CODED, "factor", *LAST), WRITES, None,
                         ("output", 0), radiance=BOTH)
 UPSAMPLE, UPSAMPLE_GUIDED = (replace(one, pixels=(2, 2)) for one in (UPSAMPLE, UPSAMPLE_GUIDED))
+BLEND_PICTURE = kernel("blend_picture", ("picture", "controls", *BETWEEN, *LAST), WRITES, None, ("output", 0))
+"""A picture that a network gives itself, blended with the last output: its first control is its share."""
 for one in (UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED):
     in_half(one, "fine")

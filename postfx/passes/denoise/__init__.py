@@ -28,6 +28,7 @@ from postfx.passes.denoise.models import (
     Ladder,
     cost,
     family,
+    gives_picture,
     has_model,
     model_of,
     name_models,
@@ -151,6 +152,7 @@ class DenoiseUpscale(Pass):
         carried = passthrough_roles(spec)
         size = self._output_size(spec)
         self._check_error(spec)
+        self._check_enlargement(spec)
         written = (Role.COLOUR, *carried, *(Role.ERROR,) * self._error)
         output = FrameSpec(size.width, size.height, written)
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
@@ -243,7 +245,8 @@ class DenoiseUpscale(Pass):
     def _models(self, spec: FrameSpec) -> dict[str, str]:
         """The networks to choose from for frames of a spec, by their short tags."""
         tags, ending = self._tags_for(spec, self._device.runs_rows), self._ending(spec)
-        return {short_tag(tag): model_of(tag, ending, self._device) for tag in tags}
+        filters = bool(self._parts) or (self._alpha and spec.has(Role.ALPHA))
+        return {short_tag(tag): model_of(tag, ending, self._device, filters) for tag in tags}
 
     def note_time(self, milliseconds: float) -> None:
         if self.strength:
@@ -410,6 +413,15 @@ class DenoiseUpscale(Pass):
             if not predicts_error(model_of(tag, self._ending(spec))):
                 raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at this size: "
                                       f"{self._error_remedy()}")
+
+    def _check_enlargement(self, spec: FrameSpec) -> None:
+        """PassOptionError where frames of this spec are enlarged and a network gives the picture itself."""
+        if not self.strength or self._is_render_size(spec):
+            return
+        for tag in self._tags_for(spec):
+            if gives_picture(model_of(tag, self._ending(spec))):
+                raise PassOptionError(f"model '{short_tag(tag)}' denoises at the render's size and does not enlarge: "
+                                      "give scale 1, or another model")
 
     def _error_remedy(self) -> str:
         """What to do about it: a network that predicts it at the render size, where one comes with postfx."""

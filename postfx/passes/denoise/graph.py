@@ -33,6 +33,7 @@ from postfx.kernels.denoise.pyramid import (
     REMODULATE_BOTH,
 )
 from postfx.kernels.denoise.upsample import (
+    BLEND_PICTURE,
     CODES_GUIDED,
     CODES_PLAIN,
     CODES_UNSCALED,
@@ -43,7 +44,9 @@ from postfx.kernels.denoise.upsample import (
 from postfx.passes.denoise.history import ALPHA_LAYER, alone, one_of, some_of
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.network import (
+    CONTROLS,
     ERROR,
+    PICTURE,
     PRODUCTS,
     Network,
     alike_heads,
@@ -58,10 +61,11 @@ from postfx.passes.denoise.network import (
 from postfx.passes.denoise.tiling import LEVELS, Window
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, PipelineState, Tensor
 
-PLAIN, GUIDED, UNSCALED = "plain", "guided", "unscaled"
+PLAIN, GUIDED, UNSCALED, GIVEN = "plain", "guided", "unscaled", "given"
 ENDS = {PLAIN: (REMODULATE, UPSAMPLE), GUIDED: (REMODULATE_BOTH, UPSAMPLE_GUIDED),
         UNSCALED: (REMODULATE_BOTH, UPSAMPLE_UNSCALED)}
-"""Kernels that put the reflectance back and enlarge: before, with that of guides, or after, at the render size."""
+"""Kernels that put the reflectance back and enlarge: before, with that of guides, or after, at the render size. A
+picture that is given needs none of them."""
 WHOLE, HALF, CODED = range(3)
 """Forms of the fine head: in float32, in half precision beside such a network on a GPU, and made row by row in the
 kernels that read it, which leaves its last channels alone in memory."""
@@ -132,6 +136,8 @@ class Graph:
         tables = self._tables[self._forms[model]] | self._networks[model].looks
         if ERROR in tensors:
             known |= {"log_error": self._heads[model][ERROR]}
+        if end == GIVEN:
+            known |= {name: self._heads[model][name] for name in (PICTURE, CONTROLS)}
         self._bind(tables, {**self._made, **tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
@@ -143,15 +149,21 @@ class Graph:
         self._networks[model].encode(commands)
         with commands.compute_encoder("filter") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            *order, last = self._filter_order
-            shaded = f"{last} {end}"
-            for i, name in enumerate((*order, *((shaded,) if shaded in tables else (last, f"remodulate {end}")))):
+            for i, name in enumerate(self._order_of(end, tables)):
                 if i:
                     encoder.barrier()
                 self._run(encoder, tables, name)
         with commands.compute_encoder("upsample") as encoder:
             encoder.barrier(after="compute", before="compute")
             self._run(encoder, tables, f"upsample {end}", *(ERROR,) * (ERROR in tensors))
+
+    def _order_of(self, end: str, tables: Mapping[str, ArgumentTable]) -> tuple[str, ...]:
+        """Tables between the network and the enlargement."""
+        if end == GIVEN:
+            return ("accumulate",)
+        *order, last = self._filter_order
+        shaded = f"{last} {end}"
+        return (*order, *((shaded,) if shaded in tables else (last, f"remodulate {end}")))
 
     def _keep(self, tensors: Mapping[str, Tensor], masked: bool) -> Tensor:
         """How much of the history counts, pixel by pixel or in one number."""
@@ -160,6 +172,8 @@ class Graph:
     def _end_of(self, model: str) -> str:
         frame = self._window.frame
         unscaled = (frame.h, frame.w) == (frame.height, frame.width)
+        if PICTURE in self._heads[model]:
+            return GIVEN
         return GUIDED if self._guided else UNSCALED if unscaled and model in self._doubting else PLAIN
 
     def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
@@ -177,6 +191,8 @@ class Graph:
             both = between("fine and its products", (behind + math.prod(shapes["fine"]),))
             heads |= {"fine": both.view("fine", shapes["fine"]),
                       products: both.view(products, network.shapes[products], behind, "int32")}
+        if PICTURE in heads:
+            heads["fine"] = heads[CONTROLS]
         for name, values in alike_heads(network).items():
             size = (1, values.shape[1], *self._window.level(int(name[-1])))
             heads[name] = upload(self._device.heap, name, np.broadcast_to(values, size).astype(dtype), dtype)
@@ -207,10 +223,12 @@ class Graph:
         self._importance += [self._new(f"importance {i}", (1, *level(i))) for i in range(1, LEVELS + 1)]
         size = self._window.rows + 2, self._window.columns + 2
         self._radiance = {end: self._new(f"radiance {end}", (3 if end == PLAIN else 6, *size))
-                          for end in set(self._ends.values())}
-        filtered, self._filter_order = self._make_pyramid(self._tables, accumulated.view("light 0", (3, *level(0))),
-                                                          self._radiance.get(PLAIN))
-        made = self._made | self._seen | {"level": accumulated, "filtered": filtered}
+                          for end in set(self._ends.values()) - {GIVEN}}
+        made = self._made | self._seen | {"level": accumulated}
+        if self._radiance:
+            light = accumulated.view("light 0", (3, *level(0)))
+            filtered, self._filter_order = self._make_pyramid(self._tables, light, self._radiance.get(PLAIN))
+            made["filtered"] = filtered
         self._looks = ("features", "guides", "trust") if self._guided else ("features",)
         kernels = (("dilate", DILATE), ("history", HISTORY), ("accumulate", ACCUMULATE), ("features", FEATURE))
         for name, kernel in kernels[:3] if coded else kernels:
@@ -218,6 +236,8 @@ class Graph:
         for end, radiance in self._radiance.items():
             for name, kernel in zip(("remodulate", "upsample"), ENDS[end], strict=True):
                 self._table(self._tables, f"{name} {end}", kernel, **made, radiance=radiance)
+        if GIVEN in self._ends.values():
+            self._table(self._tables, f"upsample {GIVEN}", BLEND_PICTURE, **made)
         if self._doubting:
             self._table(self._tables, "means", MEANS, means=self._means)
         if self._reactive:
@@ -286,7 +306,10 @@ class Graph:
             step = " ".join(name.split()[:2])
             known = {**tensors, **places.get(step, places[""])}
             if step.startswith(("filter ", "mix ")):
-                known["heads"] = heads["fine" if step[-1] == "0" else f"level{step[-1]}"]
+                head = "fine" if step[-1] == "0" else f"level{step[-1]}"
+                if head not in heads:  # of another model's filters
+                    continue
+                known["heads"] = heads[head]
             for binding in table.state.bindings:
                 if binding.name in known:
                     table[binding.name] = known[binding.name]

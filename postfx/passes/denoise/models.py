@@ -81,17 +81,19 @@ def find_model(model: str) -> tuple[Library, str]:
     return (Library(path.parent), path.name.removesuffix(FILE)) if "/" in model else (Library(), model)
 
 
-def model_of(tag: str, ending: str = "", device: Device | None = None) -> str:
+def model_of(tag: str, ending: str = "", device: Device | None = None, filters: bool = False) -> str:
     """Name of the model for a tag: 'm.fp32' -> 'denoise_upscale.m', 'm.int8' -> 'denoise_upscale.m.int8'.
 
     Without a precision, a tag means the device's fast one if it exists (int8 on a CPU, fp16 on a GPU), else float32.
     Without a device it means the float32 model, which every such tag has. If a tag has no network for the render size,
-    its stand-in's runs, or else the plain one.
+    its stand-in's runs, or else the plain one. So it does where the network must predict ``filters``, which other
+    pictures need, too, and gives the picture alone.
     """
     if ending != UNSCALED:
         return _named(tag, ending, device)
     found = [_named(one, UNSCALED, device) for one in (tag, _stand_in(tag))]
-    return next(filter(has_model, found), _named(tag, "", device))
+    fitting = (one for one in found if has_model(one) and not (filters and gives_picture(one)))
+    return next(fitting, _named(tag, "", device))
 
 
 def unscaled_remarks(tag: str) -> list[str]:
@@ -149,6 +151,11 @@ def reads_mirrored(model: str) -> bool:
 def predicts_error(model: str) -> bool:
     """Whether a model's network says how far off each pixel is expected to be."""
     return "error" in _card(model).get("outputs", {})
+
+
+def gives_picture(model: str) -> bool:
+    """Whether a model's network gives the picture itself, and no filters that parts and alpha could pass, too."""
+    return "picture" in _card(model).get("outputs", {})
 
 
 def blanks_volumes(model: str) -> bool:

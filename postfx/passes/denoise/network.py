@@ -40,6 +40,8 @@ FINE_LOGITS = "fine_logits"
 """The fine head in float32 before its activations, of a network whose last level has the render size."""
 ERROR = "error"
 """The logarithm of each pixel's expected squared error."""
+PICTURE, CONTROLS = "picture", "controls"
+"""Outputs of a network that gives the picture itself, log(1 + exposed light), and controls it and the history."""
 STORED, CODING = "stored_", "coding_"
 """Prefixes of the names of 8-bit inputs, channels last, and of the constants that tell how they are coded."""
 PRODUCTS, SCALING = "products_", "scaling_"
@@ -116,7 +118,7 @@ def check_bindings(state: PipelineState) -> None:
     reads = {b.name for b in state.bindings if b.access == "read"}
     strange = [name for name in reads if plain[name] not in (*CHANNELS, *FEATURE_PARTS)]
     gives = {plain[b.name] for b in state.bindings if b.access == "write"} | set(state.constants)
-    if strange or "features" not in seen_by(state) or not {"fine", PHASED_FINE, FINE_LOGITS} & gives:
+    if strange or "features" not in seen_by(state) or not {"fine", PHASED_FINE, FINE_LOGITS, PICTURE} & gives:
         raise ModelError(f"model '{state.name}' is not a denoiser: it reads {', '.join(sorted(reads)) or 'nothing'} "
                          f"and gives {', '.join(sorted(gives)) or 'nothing'}; training.denoise.export makes one")
 

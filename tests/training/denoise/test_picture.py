@@ -1,0 +1,188 @@
+"""The network that gives the picture itself: its curve, its start, its weights' rates, and its pass."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from postfx import DenoiseUpscale, Device, Frame, Pipeline
+from postfx.errors import PassOptionError
+from postfx.frame import Role
+from training.denoise import open_weights
+from training.denoise.checkpoint import PREFIX, save, widen
+from training.denoise.export import card, export_trunk, load_trunk
+from training.denoise.model import Inputs, empty_state
+from training.denoise.picture import (
+    MOST_LIGHT,
+    PictureConfig,
+    PictureDenoiser,
+    PictureNetwork,
+    decode,
+    encode,
+    layout_from,
+)
+from training.denoise.train import parse, rate_groups
+
+SMALL = PictureConfig(down=(8, 8, 8, 8, 8), up=(8, 8, 8, 8), last=8)
+SIZE = 40, 56
+EXPOSURE_STOPS = 1.0
+JITTER = 0.25, -0.125
+CLOSE = 2e-5  # after x / (1 + x)
+
+
+@pytest.fixture(scope="module")
+def denoiser():
+    """A small network whose weights make all its outputs vary; a second one would have the same."""
+    torch.manual_seed(3)
+    found = PictureDenoiser(PictureNetwork(SMALL)).eval()
+    with torch.no_grad():
+        for weight in found.parameters():
+            weight.copy_((weight + 0.05 * torch.randn_like(weight)).half())
+    return found
+
+
+@pytest.fixture(scope="module")
+def models(denoiser, tmp_path_factory):
+    """A folder with the network as `p`, exported for the render size."""
+    folder = tmp_path_factory.mktemp("models")
+    checkpoint = {"config": SMALL.as_dict(), "weights": denoiser.state_dict(), "notes": {}}
+    for name in ("denoise_upscale.p", "denoise_upscale.p.1x"):
+        path = folder / f"{name}.onnx"
+        error = export_trunk(load_trunk(checkpoint), path)
+        path.with_suffix(".json").write_text(json.dumps(card(checkpoint, name.split(".", 1)[1], error, {})))
+    return folder
+
+
+def shot(frames=3):
+    """Noisy frames of a moving pattern. Their samples are jittered, so that no lost detail is looked for."""
+    random = np.random.default_rng(5)
+    height, width = SIZE
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    for number in range(frames):
+        albedo = 0.5 + 0.4 * np.sin((x + 2 * number) / 5)[..., None] * np.array([1, 0.7, 0.4], np.float32)
+        light = random.gamma(1.0, 1.0, (height, width, 1)).astype(np.float32)
+        yield Frame({
+            Role.COLOUR: albedo * light,
+            Role.DIFFUSE_ALBEDO: albedo,
+            Role.SPECULAR_ALBEDO: np.full((height, width, 3), 0.04, np.float32),
+            Role.NORMAL: np.broadcast_to(np.array([0, 0, 1], np.float32), (height, width, 3)).copy(),
+            Role.ROUGHNESS: np.full((height, width, 1), 0.5, np.float32),
+            Role.DEPTH: (2 + y / height)[..., None],
+            Role.MOTION: np.broadcast_to(np.array([2, 0], np.float32), (height, width, 2)).copy(),
+        }, number=number + 1, jitter=JITTER)
+
+
+def image(plane):
+    return torch.from_numpy(np.ascontiguousarray(plane, np.float32)).permute(2, 0, 1)[None]
+
+
+def displayed(light):
+    exposed = light * 2**EXPOSURE_STOPS
+    return exposed / (1 + exposed)
+
+
+def test_codes_are_inverted_over_all_light():
+    light = torch.logspace(-8, 4.8, 3000)
+    torch.testing.assert_close(decode(encode(light)), light, rtol=1e-5, atol=0)
+    assert encode(torch.tensor(MOST_LIGHT)).item() == pytest.approx(1, abs=1e-6)
+    assert encode(torch.tensor(0.0)).item() == decode(torch.tensor(0.0)).item() == 0
+
+
+def test_the_codes_grow_with_light_across_the_joints_of_the_curve():
+    codes = encode(torch.logspace(-7, 0, 5000))
+    assert (codes.diff() > 0).all()
+
+
+def test_it_begins_as_the_published_network():
+    """With the published weights a first frame is Open Image Denoise's picture."""
+    pytest.importorskip("pyoidn")
+    from postfx.oidn import OpenImageDenoise
+
+    weights = {PREFIX + name: values for name, values in open_weights.published().items()}
+    denoiser = PictureDenoiser().eval()
+    denoiser.load_state_dict(widen(weights, denoiser.state_dict()))
+    frame = next(shot())
+    height, width = (side // 16 * 16 for side in SIZE)
+    planes = {role: plane[:height, :width] for role, plane in frame.planes.items()}
+    inputs = Inputs(*(image(planes[role]) for role in (
+        Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)),
+        jitter=torch.zeros(1, 2))
+    with torch.no_grad():
+        found = denoiser.step(inputs, empty_state(inputs, height, width)).output[0].permute(1, 2, 0).numpy()
+    expected = np.empty((height, width, 3), np.float32)
+    albedo = np.clip(planes[Role.DIFFUSE_ALBEDO] + planes[Role.SPECULAR_ALBEDO], 0, 1)
+    OpenImageDenoise("high", "cpu", 1, planes="raw")(
+        planes[Role.COLOUR], {"albedo": albedo, "normal": planes[Role.NORMAL]}, expected)
+    # Open Image Denoise brings the picture to a mean brightness of its own first, so codes are not the same.
+    np.testing.assert_allclose(displayed(found).mean(), displayed(expected).mean(), rtol=0.01)
+    assert np.abs(displayed(found) - displayed(expected)).mean() < 0.01
+
+
+def test_published_weights_get_their_own_rate(denoiser):
+    own, published = rate_groups(denoiser, 0.05)
+    assert own["share"] == 1 and published["share"] == 0.05
+    assert len(own["params"]) + len(published["params"]) == len(list(denoiser.parameters()))
+    frozen = PictureDenoiser(PictureNetwork(SMALL))
+    only, = rate_groups(frozen, 0)
+    assert all(weight.requires_grad for weight in only["params"])
+    assert not any(weight.requires_grad for weight in frozen.trunk.published())
+
+
+def test_what_is_added_to_a_published_network_begins_as_nothing():
+    torch.manual_seed(1)
+    network = PictureNetwork(SMALL)
+    assert not network.enter.weight.any() and not network.join.weight.any()
+
+
+def test_it_keeps_the_size(denoiser):
+    frame = next(shot())
+    inputs = Inputs(*(image(plane) for plane in frame.planes.values()), jitter=torch.zeros(1, 2))
+    with pytest.raises(ValueError, match="keeps the size 40x56"):
+        denoiser.step(inputs, empty_state(inputs, 80, 112))
+
+
+def test_a_config_tells_its_layout():
+    assert layout_from(SMALL.as_dict()) == SMALL
+    with pytest.raises(ValueError, match="5 channels down"):
+        PictureConfig(down=(8, 8))
+
+
+def test_the_pass_computes_what_training_does(denoiser, models):
+    """Frame by frame, with the history."""
+    pipeline = Pipeline([DenoiseUpscale(scale=1, model="p", library=models)], Device("cpu"), EXPOSURE_STOPS, "none")
+    state = None
+    for frame in shot():
+        inputs = Inputs(*(image(frame.planes[role]) for role in (
+            Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH,
+            Role.MOTION)), jitter=torch.tensor([JITTER]))
+        inputs = replace(inputs, colour=inputs.colour * 2**EXPOSURE_STOPS)
+        state = empty_state(inputs, *SIZE) if state is None else state
+        with torch.no_grad():
+            step = denoiser.step(inputs, state)
+        state = step.state
+        expected = step.output[0].permute(1, 2, 0).numpy() / 2**EXPOSURE_STOPS
+        found = pipeline(frame)[Role.COLOUR]
+        assert np.abs(displayed(found) - displayed(expected)).max() < CLOSE
+
+
+def test_its_error_is_written(models):
+    pipeline = Pipeline([DenoiseUpscale(scale=1, model="p", library=models, error=True)], Device("cpu"))
+    error = pipeline(next(shot()))[Role.ERROR]
+    assert error.shape == (*SIZE, 1) and (error > 0).all()
+
+
+def test_it_cannot_enlarge_or_filter_parts(models):
+    with pytest.raises(PassOptionError, match="does not enlarge: give scale 1"):
+        Pipeline([DenoiseUpscale(scale=2, model="p", library=models)], Device("cpu"))(next(shot()))
+
+
+def test_training_starts_from_a_checkpoint_of_published_weights(tmp_path, denoiser):
+    weights = {name: values for name, values in denoiser.state_dict().items() if "_conv" in name}
+    save({"config": SMALL.as_dict(), "weights": weights, "notes": {}}, tmp_path / "start.pt")
+    args = parse(["--clips", str(tmp_path), "--out", str(tmp_path), "--picture", "--start", str(tmp_path / "start.pt")])
+    assert args.picture and args.published_rate == 0.05
+    fresh = PictureDenoiser(PictureNetwork(SMALL))
+    found = widen(weights, fresh.state_dict())
+    assert all(torch.equal(found[name], values) for name, values in weights.items())
