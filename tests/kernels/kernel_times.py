@@ -113,7 +113,8 @@ def compare(before: Path, kernel: str, level: str) -> str:
     off = max(difference(*pair) for pair in zip(*(side.results for side in sides), strict=True))
     old, new = (statistics.median(column) for column in zip(*times, strict=True))
     ratios = statistics.median(after / earlier for earlier, after in times)
-    return f"{kernel} {level}: {1e3 * old:.2f} ms before, {1e3 * new:.2f} ms now, ratio {ratios:.2f}, difference {off:.0e}"
+    return (f"{kernel} {level}: {1e3 * old:.2f} ms before, {1e3 * new:.2f} ms now, ratio {ratios:.2f}, "
+            f"difference {off:.0e}")
 
 
 def difference(one: np.ndarray, other: np.ndarray) -> float:

@@ -17,11 +17,12 @@ import pytest
 from postfx.errors import BindingError, DeviceError
 from postfx.kernels import Kernel, build, constants_of, find_source, library
 from postfx.kernels.denoise import FINE
+from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.history import HISTORY, KEEP
 from postfx.kernels.denoise.network_io import OPEN_PHASED
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, UPSAMPLE_LIGHT
-from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE
+from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, MIX_LEVELS, POOL, REMODULATE
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.library import Rows
 from postfx.runtime import ArgumentTable, Device
@@ -97,9 +98,10 @@ def test_arm64_gives_the_same_bits_too(tmp_path: Path) -> None:
 
 CODED = {coded for _, coded in FROM_CODES}
 OTHERWISE = {FEATURE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED, UPSAMPLE_LIGHT,
-             ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, KEEP}
+             ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, KEEP, GATHER, FIT, CORRECT, ENLARGE_ALPHA}
 """Kernels whose portable definition has other answers: the first multiply what they leave out by 0, so that NaN and
-infinity get into neighbours; the others hold NaN within bounds, where ONNX's Clip, Min and Max leave it."""
+infinity get into neighbours, as alpha's work on pixels where nothing is near; the others hold NaN within bounds, where
+ONNX's Clip, Min and Max leave it."""
 MOST_CHANGED = 330
 """Numbers that three bad ones may change: 6x6 output pixels of three each."""
 

@@ -19,6 +19,7 @@ constexpr float FARTHEST = 1e9f;
 constexpr int STATE = 12;
 constexpr int HIDDEN = 8;
 constexpr int TRUST_CELL = 8;
+constexpr int NEAR_CELL = 4;
 constexpr int KERNEL = 25;
 constexpr int TAP_WEIGHTS = KERNEL;
 constexpr int BLEND = 61;
