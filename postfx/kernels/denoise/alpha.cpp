@@ -1,12 +1,15 @@
-// Rows of alpha. Where it is 0 or 1 all around nothing is worked on, so rows are made in spans of cells.
+// Rows of alpha. Where it is 0 or 1 all around nothing is worked on, so rows are made in spans of
+// cells.
 #include "alpha.h"
 #include "history.h"
 #include "upsample_rows.h"
 
 typedef View<const float, 2> Cells;
 
-// Spans of pixels along a row of some width whose cells of NEAR_CELL pixels are near; the last cell goes on to its end.
-template <class Near, class Work> FN void each_span(Long cells, Long width, const Near& near, const Work& work) {
+// Spans of pixels along a row of some width whose cells of NEAR_CELL pixels are near; the last cell
+// goes on to its end.
+template <class Near, class Work>
+FN void each_span(Long cells, Long width, const Near& near, const Work& work) {
     for (Long k = 0; k < cells; k++) {
         if (!near(k)) continue;
         const Long first = NEAR_CELL * k;
@@ -19,12 +22,15 @@ template <class Near, class Work> FN void each_span(Long cells, Long width, cons
 FN const float* cells_of(const Cells& near, Long y) {
     return near(smaller<Long>(larger<Long>(y, 0) / NEAR_CELL, near.size[0] - 1));
 }
-template <class Work> FN void each_span_at(const Cells& near, Long y, float least, Long width, const Work& work) {
+template <class Work> FN void each_span_at(const Cells& near, Long y, float least,
+                                                    Long width, const Work& work) {
     const float* cells = cells_of(near, y);
     each_span(near.size[1], width, PIXELS(Long k) { return cells[k] >= least; }, work);
 }
-template <class Work> FN void each_span_around(const Cells& near, Long y, Long width, const Work& work) {
-    const float *above = cells_of(near, y - 1), *here = cells_of(near, y), *below = cells_of(near, y + 1);
+template <class Work>
+FN void each_span_around(const Cells& near, Long y, Long width, const Work& work) {
+    const float *above = cells_of(near, y - 1), *here = cells_of(near, y),
+                *below = cells_of(near, y + 1);
     each_span(near.size[1], width, PIXELS(Long k) {
         return above[k] >= 1.0f || here[k] >= 1.0f || below[k] >= 1.0f;
     }, work);
@@ -38,19 +44,20 @@ FN void repeat_edges(float* row, Long count) {
 
 // Means of samples.
 
-// What samples of a row were before, by quarter-pixels, what the frame's alpha adds to their means, and the variance of
-// these, -1 where they are not known.
+// What samples of a row were before, by quarter-pixels, what the frame's alpha adds to their means,
+// and the variance of these, -1 where they are not known.
 struct Predicted {
     float *own, *off, *variance, *quarters;
     Long width;
 
     Predicted(float* at, Long width)
-        : own(at), off(at + width), variance(at + 2 * width), quarters(at + 3 * width), width(width) {}
+        : own(at), off(at + width), variance(at + 2 * width), quarters(at + 3 * width),
+          width(width) {}
     FN_MEMBER float* quarter(int i) const { return quarters + i * width; }
 };
 
-// Where a row's samples were: the first of 5x5, its place if they and three numbers more lie in the picture, else -1;
-// the pixel whose doubt counts, -1 where there is none; and weights.
+// Where a row's samples were: the first of 5x5, its place if they and three numbers more lie in the
+// picture, else -1; the pixel whose doubt counts, -1 where there is none; and weights.
 struct Former {
     const float *samples, *doubt;
     Long h, w, height, width;
@@ -71,7 +78,8 @@ struct Former {
             const F near_y = within<F>(floor_of(at_y + 0.5f), 0.0f, float(h - 1));
             const typename Of<F>::Int found = whole(near_y) * int(w) + whole(near_x);
             store_int<F>(pixel + x, whole(held) == 1 ? found : typename Of<F>::Int(-1));
-            const F twice_x = held > 0.0f ? by_x + by_x : F(0.0f), twice_y = held > 0.0f ? by_y + by_y : F(0.0f);
+            const F twice_x = held > 0.0f ? by_x + by_x : F(0.0f),
+                    twice_y = held > 0.0f ? by_y + by_y : F(0.0f);
             const F far_x = floor_of(twice_x), far_y = floor_of(twice_y);
             F columns[CUBIC], rows[CUBIC];
             cubic<F>(twice_x - far_x, columns);
@@ -80,7 +88,8 @@ struct Former {
                 store<F>(weights + i * w + x, columns[i]);
                 store<F>(weights + (CUBIC + i) * w + x, rows[i]);
             }
-            const F first = ramp<F>(float(2 * x - 1), 2.0f) + far_x, upper = far_y + float(2 * y - 1);
+            const F first = ramp<F>(float(2 * x - 1), 2.0f) + far_x,
+                    upper = far_y + float(2 * y - 1);
             F inside = held;
             inside = first >= 0.0f ? inside : F(0.0f);
             inside = first <= float(width - 8) ? inside : F(0.0f);
@@ -103,9 +112,11 @@ struct Former {
         float four[4];
         if (start[x] >= 0) {
             const float* at = samples + start[x];
-            const Eight second = load_many<Eight>(at + width), third = load_many<Eight>(at + 2 * width);
+            const Eight second = load_many<Eight>(at + width),
+                        third = load_many<Eight>(at + 2 * width);
             const Eight fourth = load_many<Eight>(at + 3 * width);
-            const Eight upper = load_many<Eight>(at) * rows[0] + second * rows[1] + third * rows[2] + fourth * rows[3];
+            const Eight upper = load_many<Eight>(at) * rows[0] + second * rows[1] + third * rows[2]
+                              + fourth * rows[3];
             const Eight lower = second * rows[0] + third * rows[1] + fourth * rows[2]
                               + load_many<Eight>(at + 4 * width) * rows[3];
             const Four one = __builtin_shufflevector(upper, lower, 0, 1, 8, 9) * columns[0]
@@ -114,7 +125,8 @@ struct Former {
                            + __builtin_shufflevector(upper, lower, 3, 4, 11, 12) * columns[3];
             __builtin_memcpy(four, &one, sizeof four);
         } else {
-            for (int i = 0; i < 4; i++) four[i] = at_edge(top[x] + i / 2, left[x] + i % 2, rows, columns);
+            for (int i = 0; i < 4; i++)
+                four[i] = at_edge(top[x] + i / 2, left[x] + i % 2, rows, columns);
         }
         for (int i = 0; i < 4; i++) found.quarter(i)[x] = four[i];
     }
@@ -150,8 +162,10 @@ struct Former {
     }
 };
 
-// Sums of 3x3 numbers along rows of a width, edge repeated: of rows' sums, with a number more on either side.
-FN void sum_rows(const float* above, const float* here, const float* below, Long width, float* sums) {
+// Sums of 3x3 numbers along rows of a width, edge repeated: of rows' sums, with a number more on
+// either side.
+FN void sum_rows(const float* above, const float* here, const float* below, Long width,
+                           float* sums) {
     across(0, width, PIXELS(auto one, Long x) {
         typedef decltype(one) F;
         store<F>(sums + 1 + x, load<F>(above + x) + load<F>(here + x) + load<F>(below + x));
@@ -162,8 +176,9 @@ template <class F> FN F sum_of_three(const float* sums, Long x) {
     return load<F>(sums + x) + load<F>(sums + x + 1) + load<F>(sums + x + 2);
 }
 
-static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, Picture samples, Picture doubt,
-                          Cells near, Given<Rates> rates, NewPicture next_samples, NewPicture next_doubt) {
+static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, Picture samples,
+                          Picture doubt, Cells near, Given<Rates> rates, NewPicture next_samples,
+                          NewPicture next_doubt) {
     const Long h = alpha.size[0], w = alpha.size[1];
     const Room<float> room(3 * 7 * w + 2 * CUBIC * w + 2 * (w + 2));
     const Room<int> places(4 * w);
@@ -187,7 +202,8 @@ static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, P
         if (y <= first) continue;
         const Long at = y - 1;
         const Predicted here = kept(at);
-        float *upper = next_samples(2 * at), *lower = next_samples(2 * at + 1), *next = next_doubt(at);
+        float *upper = next_samples(2 * at), *lower = next_samples(2 * at + 1),
+              *next = next_doubt(at);
         across(0, w, PIXELS(auto one, Long x) {
             typedef decltype(one) F;
             const F own = load<F>(here.own + x);
@@ -204,8 +220,9 @@ static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, P
             summed = true;
             across(x0, x1, PIXELS(auto one, Long x) {
                 typedef decltype(one) F;
-                const Update<F> to = updated<F>(load<F>(here.off + x), load<F>(here.variance + x),
-                                                sum_of_three<F>(apart, x), sum_of_three<F>(level, x), *rates);
+                const Update<F> to =
+                    updated<F>(load<F>(here.off + x), load<F>(here.variance + x),
+                               sum_of_three<F>(apart, x), sum_of_three<F>(level, x), *rates);
                 const F own = load<F>(here.own + x);
                 F four[4];
                 for (int i = 0; i < 4; i++) {
@@ -238,10 +255,12 @@ template <int CHANNELS> struct Shrunk {
     explicit operator bool() const { return bool(line) && bool(first); }
 
     // The first of `out` pixels whose centre lies in pixel `at` of `size`.
-    static Long first_within(Long at, Long size, Long out) { return (2 * out * at + size - 1) / (2 * size); }
+    static Long first_within(Long at, Long size, Long out) {
+        return (2 * out * at + size - 1) / (2 * size);
+    }
 
-    // Of a span of a row and a pixel beside it, edge repeated: CHANNELS rows that are apart, from the pixel before the
-    // first one on.
+    // Of a span of a row and a pixel beside it, edge repeated: CHANNELS rows that are apart, from
+    // the pixel before the first one on.
     FN_MEMBER void find(Long at, Long x0, Long x1, float* means, Long apart) const {
         const Long begin = larger<Long>(x0 - 1, 0), end = smaller<Long>(x1 + 1, w);
         const Long top = first_within(at, h, height), bottom = first_within(at + 1, h, height);
@@ -250,7 +269,8 @@ template <int CHANNELS> struct Shrunk {
         across(CHANNELS * left, CHANNELS * right, PIXELS(auto one, Long i) {
             typedef decltype(one) F;
             F sum = load<F>(from + i);
-            for (Long row = 1; row < bottom - top; row++) sum += load<F>(from + row * width * CHANNELS + i);
+            for (Long row = 1; row < bottom - top; row++)
+                sum += load<F>(from + row * width * CHANNELS + i);
             store<F>(line.at + i, sum);
         });
         float* planar = line.at;
@@ -258,7 +278,8 @@ template <int CHANNELS> struct Shrunk {
             planar += CHANNELS * width;
             across(left, right, PIXELS(auto one, Long x) {
                 typedef decltype(one) F;
-                for (int c = 0; c < CHANNELS; c++) store<F>(planar + c * width + x, pick<F, 3>(line.at + 3 * x + c));
+                for (int c = 0; c < CHANNELS; c++)
+                    store<F>(planar + c * width + x, pick<F, 3>(line.at + 3 * x + c));
             });
         }
         for (int c = 0; c < CHANNELS; c++) {
@@ -268,7 +289,8 @@ template <int CHANNELS> struct Shrunk {
                 const float share = 0.5f / float(bottom - top);
                 across(begin, end, PIXELS(auto one, Long x) {
                     typedef decltype(one) F;
-                    store<F>(out + 1 + x, (pick<F, 2>(sums + 2 * x) + pick<F, 2>(sums + 2 * x + 1)) * share);
+                    store<F>(out + 1 + x,
+                             (pick<F, 2>(sums + 2 * x) + pick<F, 2>(sums + 2 * x + 1)) * share);
                 });
             } else {
                 for (Long x = begin; x < end; x++) {
@@ -282,7 +304,8 @@ template <int CHANNELS> struct Shrunk {
     }
 };
 
-static Status fit_rows(Long first, Long last, Picture picture, Picture next_samples, Cells near, NewPicture fit) {
+static Status fit_rows(Long first, Long last, Picture picture, Picture next_samples, Cells near,
+                       NewPicture fit) {
     const Long h = fit.size[1], w = fit.size[2], apart = w + 2;
     const Shrunk<3> shrunk(picture, h, w);
     const Room<float> room(3 * 4 * apart);
@@ -309,7 +332,8 @@ static Status fit_rows(Long first, Long last, Picture picture, Picture next_samp
         each_span_at(near, to, 1.0f, w, PIXELS(Long x0, Long x1) {
             across(x0, x1, PIXELS(auto one, Long x) {
                 typedef decltype(one) F;
-                const Fit<F> found = fitted<F>({{kept(to - 1) + x, kept(to) + x, kept(to + 1) + x}, apart});
+                const Fit<F> found =
+                    fitted<F>({{kept(to - 1) + x, kept(to) + x, kept(to + 1) + x}, apart});
                 for (int c = 0; c < 3; c++) store<F>(fit(c, to) + x, found.by[c]);
                 store<F>(fit(3, to) + x, found.rest);
             });
@@ -321,7 +345,8 @@ EXPORT(denoise_fit, fit_rows)
 
 // Correction.
 
-// The two of `size` pixels between whose centres one of `out` has its own, and the second one's share.
+// The two of `size` pixels between whose centres one of `out` has its own, and the second one's
+// share.
 struct Beside {
     Long first, second;
     float share;
@@ -330,16 +355,19 @@ FN Beside beside(Long position, Long size, Long out) {
     const Place at = centre_of(position, size, out);
     const bool before = at.offset < 0.0f;
     const Long first = before ? at.index - 1 : at.index;
-    return {larger<Long>(first, 0), smaller<Long>(first + 1, size - 1), before ? at.offset + 1.0f : at.offset};
+    return {larger<Long>(first, 0), smaller<Long>(first + 1, size - 1),
+            before ? at.offset + 1.0f : at.offset};
 }
 
 // What is known of a row of render pixels, each a row with a number more on either side.
 enum { STRUCTURE, LACK, WEIGHED, INNER, FACTORS, ROW_PLANES = FACTORS + 4 };
 
-// Numbers of a row of render pixels, at the output's: of the pixel that holds it, or between it and those beside it;
-// and of a row of samples. Rows of pixels have a number more on either side.
+// Numbers of a row of render pixels, at the output's: of the pixel that holds it, or between it and
+// those beside it; and of a row of samples. Rows of pixels have a number more on either side.
 struct Twice {
-    template <class F> FN_MEMBER F own(const float* row, Long x) const { return each_twice<F>(row + 1 + x / 2); }
+    template <class F> FN_MEMBER F own(const float* row, Long x) const {
+        return each_twice<F>(row + 1 + x / 2);
+    }
     template <class F> FN_MEMBER F mixed(const float* row, Long x) const {
         const F here = own<F>(row, x);
         F other;
@@ -359,9 +387,12 @@ struct Anyhow {
     const int *owner, *left, *right, *sample_left, *sample_right;
     const float *share, *sample_share;
 
-    template <class F> FN_MEMBER F own(const float* row, Long x) const { return gather<F>(row + 1, owner + x); }
+    template <class F> FN_MEMBER F own(const float* row, Long x) const {
+        return gather<F>(row + 1, owner + x);
+    }
     template <class F> FN_MEMBER F mixed(const float* row, Long x) const {
-        return between<F>(gather<F>(row + 1, left + x), gather<F>(row + 1, right + x), load<F>(share + x));
+        return between<F>(gather<F>(row + 1, left + x), gather<F>(row + 1, right + x),
+                          load<F>(share + x));
     }
     template <class F> FN_MEMBER F sample(const float* row, Long x) const {
         const F first = gather<F>(row, sample_left + x), second = gather<F>(row, sample_right + x);
@@ -369,34 +400,42 @@ struct Anyhow {
     }
 };
 
-// Rows that one row of the output is made of: those of filtered alpha, with a number more on either side; of the pixel
-// that holds it; mixed for its place; the samples at its place and the means of samples; and its colours.
+// Rows that one row of the output is made of: those of filtered alpha, with a number more on either
+// side; of the pixel that holds it; mixed for its place; the samples at its place and the means of
+// samples; and its colours.
 struct Sources {
     const float *above, *here, *below, *own, *mixed, *samples, *means, *colours;
     Long apart;
 };
 
-// A span of a row of corrected alpha: filtered, sharper, nearer to the mean of samples and to alpha by colours. Where
-// nothing moves samples know nothing of a pixel's inside.
-template <class At>
-FN void correct_span(const Sources& from, const At& at, const Gain& gain, Long first, Long last, float* out) {
+// A span of a row of corrected alpha: filtered, sharper, nearer to the mean of samples and to alpha
+// by colours. Where nothing moves samples know nothing of a pixel's inside.
+template <class At> FN void correct_span(const Sources& from, const At& at,
+                                                  const Gain& gain, Long first, Long last,
+                                                  float* out) {
     across(first, last, PIXELS(auto one, Long x) {
         typedef decltype(one) F;
-        const auto own = PIXELS(int plane) { return at.template own<F>(from.own + plane * from.apart, x); };
-        const auto mixed = PIXELS(int plane) { return at.template mixed<F>(from.mixed + plane * from.apart, x); };
+        const auto own = PIXELS(int plane) {
+            return at.template own<F>(from.own + plane * from.apart, x);
+        };
+        const auto mixed = PIXELS(int plane) {
+            return at.template mixed<F>(from.mixed + plane * from.apart, x);
+        };
         const F value = load<F>(from.here + 1 + x), structure = own(STRUCTURE);
         const F soft = softened<F>(from.above + x, from.here + x, from.below + x);
         const F inner = own(INNER) * (at.template sample<F>(from.samples, x) - value - own(LACK));
         const F sharp = gain.sharper * structure * (value - soft);
         const F found = within<F>(value + mixed(WEIGHED) + inner + sharp, 0.0f, 1.0f);
         const float* colours = from.colours + 3 * x;
-        const F shades = mixed(FACTORS) * pick<F, 3>(colours) + mixed(FACTORS + 1) * pick<F, 3>(colours + 1)
+        const F shades = mixed(FACTORS) * pick<F, 3>(colours)
+                       + mixed(FACTORS + 1) * pick<F, 3>(colours + 1)
                        + mixed(FACTORS + 2) * pick<F, 3>(colours + 2) + mixed(FACTORS + 3);
         const F by_colour = within<F>(shades * (1 / 9.0f), 0.0f, 1.0f);
         store<F>(out + x, found + gain.fitted * structure * (by_colour - found));
     });
 }
-template <class At> FN void keep_span(const Sources& from, const At& at, Long first, Long last, float* out) {
+template <class At>
+FN void keep_span(const Sources& from, const At& at, Long first, Long last, float* out) {
     across(first, last, PIXELS(auto one, Long x) {
         store<decltype(one)>(out + x, at.template own<decltype(one)>(from.means, x));
     });
@@ -413,12 +452,14 @@ struct Corrector {
     Room<int> places;
     float *lines, *means, *known, *blend, *inside, *own_means, *shares;
 
-    Corrector(const Picture& enlarged, const Picture& picture, const Picture& fit, const Picture& samples,
-              const Picture& doubt, const Picture& moved, const Cells& near, const Gain& gain, Long height, Long width)
-        : enlarged(enlarged), picture(picture), fit(fit), samples(samples), doubt(doubt), moved(moved), near(near),
-          gain(gain), h(doubt.size[0]), w(doubt.size[1]), height(height), width(width), apart(w + 2),
-          shrunk(enlarged, h, w),
-          room(3 * (width + 2) + (4 + 3 * ROW_PLANES + 1) * apart + 2 * w + 2 * width), places(5 * width) {
+    Corrector(const Picture& enlarged, const Picture& picture, const Picture& fit,
+              const Picture& samples, const Picture& doubt, const Picture& moved, const Cells& near,
+              const Gain& gain, Long height, Long width)
+        : enlarged(enlarged), picture(picture), fit(fit), samples(samples), doubt(doubt),
+          moved(moved), near(near), gain(gain), h(doubt.size[0]), w(doubt.size[1]), height(height),
+          width(width), apart(w + 2), shrunk(enlarged, h, w),
+          room(3 * (width + 2) + (4 + 3 * ROW_PLANES + 1) * apart + 2 * w + 2 * width),
+          places(5 * width) {
         if (!*this) return;
         lines = room.at;
         means = lines + 3 * (width + 2);
@@ -430,8 +471,8 @@ struct Corrector {
         for (float* at = room.at; at < shares; at++) *at = 0.0f;
         for (Long x = 0; x < width; x++) {
             const Beside pixels = beside(x, w, width), quarters = beside(x, 2 * w, width);
-            const Long found[5] = {centre_of(x, w, width).index, pixels.first, pixels.second, quarters.first,
-                                   quarters.second};
+            const Long found[5] = {centre_of(x, w, width).index, pixels.first, pixels.second,
+                                   quarters.first, quarters.second};
             for (int i = 0; i < 5; i++) places.at[i * width + x] = int(found[i]);
             shares[x] = pixels.share;
             shares[width + x] = quarters.share;
@@ -440,8 +481,13 @@ struct Corrector {
     explicit operator bool() const { return bool(shrunk) && bool(room) && bool(places); }
 
     Anyhow columns() const {
-        return {places.at, places.at + width, places.at + 2 * width, places.at + 3 * width, places.at + 4 * width,
-                shares, shares + width};
+        return {places.at,
+                places.at + width,
+                places.at + 2 * width,
+                places.at + 3 * width,
+                places.at + 4 * width,
+                shares,
+                shares + width};
     }
     float* line(Long row) const { return lines + (row + 3) % 3 * (width + 2); }
     float* mean(Long row) const { return means + row % 4 * apart; }
@@ -459,23 +505,26 @@ struct Corrector {
     FN_MEMBER void put_planes(Long at) const {
         const Long above = larger<Long>(at - 1, 0), below = smaller<Long>(at + 1, h - 1);
         const auto to = [&](int plane) { return planes(at) + plane * apart + 1; };
-        const float *upper = samples(2 * at), *lower = samples(2 * at + 1), *doubts = doubt(at), *by = moved(at);
+        const float *upper = samples(2 * at), *lower = samples(2 * at + 1), *doubts = doubt(at),
+                    *by = moved(at);
         each_span_at(near, at, 1.0f, w, PIXELS(Long x0, Long x1) {
             across(x0, x1, PIXELS(auto one, Long x) {
                 typedef decltype(one) F;
                 const F own = mean_of_samples<F>(upper + 2 * x, lower + 2 * x);
-                const Lacking<F> found = lacking<F>(mean(above) + x, mean(at) + x, mean(below) + x, own,
-                                                    load<F>(doubts + x), gain);
+                const Lacking<F> found = lacking<F>(mean(above) + x, mean(at) + x, mean(below) + x,
+                                                    own, load<F>(doubts + x), gain);
                 store<F>(to(STRUCTURE) + x, found.structure);
                 store<F>(to(LACK) + x, found.lack);
                 store<F>(to(WEIGHED) + x, found.weight * found.lack);
-                store<F>(to(INNER) + x, one_where_moved<F>(by + 2 * x) > 0.0f ? found.weight : F(0.0f));
+                store<F>(to(INNER) + x,
+                         one_where_moved<F>(by + 2 * x) > 0.0f ? found.weight : F(0.0f));
             });
         });
         for (int k = 0; k < 4; k++) {
             sum_rows(fit(k, above), fit(k, at), fit(k, below), w, own_means);
             across(0, w, PIXELS(auto one, Long x) {
-                store<decltype(one)>(to(FACTORS + k) + x, sum_of_three<decltype(one)>(own_means, x));
+                store<decltype(one)>(to(FACTORS + k) + x,
+                                     sum_of_three<decltype(one)>(own_means, x));
             });
         }
         for (int plane = 0; plane < ROW_PLANES; plane++) repeat_edges(to(plane) - 1, w);
@@ -483,10 +532,12 @@ struct Corrector {
     FN_MEMBER void put_own_means(Long row) const {
         const float *upper = samples(2 * row), *lower = samples(2 * row + 1);
         across(0, w, PIXELS(auto one, Long x) {
-            store<decltype(one)>(own_means + 1 + x, mean_of_samples<decltype(one)>(upper + 2 * x, lower + 2 * x));
+            store<decltype(one)>(own_means + 1 + x,
+                                 mean_of_samples<decltype(one)>(upper + 2 * x, lower + 2 * x));
         });
     }
-    // Planes between two rows of render pixels, and the samples between two of their own, as far as a span reads them.
+    // Planes between two rows of render pixels, and the samples between two of their own, as far as
+    // a span reads them.
     FN_MEMBER void mix(const Beside& rows, const Beside& quarters, Long x0, Long x1) const {
         for (int plane = WEIGHED; plane < ROW_PLANES; plane++) {
             if (plane == INNER) continue;
@@ -494,11 +545,11 @@ struct Corrector {
             const float* lower = planes(rows.second) + plane * apart;
             mix_row(upper, lower, rows.share, x0, x1 + 2, blend + plane * apart);
         }
-        mix_row(samples(quarters.first), samples(quarters.second), quarters.share, 2 * larger<Long>(x0 - 1, 0),
-                2 * smaller<Long>(x1 + 1, w), inside);
+        mix_row(samples(quarters.first), samples(quarters.second), quarters.share,
+                2 * larger<Long>(x0 - 1, 0), 2 * smaller<Long>(x1 + 1, w), inside);
     }
     FN_MEMBER void mix_row(const float* upper, const float* lower, float share, Long first, Long last,
-                           float* out) const {
+                        float* out) const {
         across(first, last, PIXELS(auto one, Long x) {
             typedef decltype(one) F;
             store<F>(out + x, between<F>(load<F>(upper + x), load<F>(lower + x), F(share)));
@@ -506,10 +557,12 @@ struct Corrector {
     }
 };
 
-static Status correct_rows(Long first, Long last, Picture enlarged, Picture picture, Picture fit, Picture next_samples,
-                           Picture next_doubt, Picture moved, Cells near, Given<Gain> gain, NewPicture corrected) {
+static Status correct_rows(Long first, Long last, Picture enlarged, Picture picture, Picture fit,
+                           Picture next_samples, Picture next_doubt, Picture moved, Cells near,
+                           Given<Gain> gain, NewPicture corrected) {
     const Long height = corrected.size[0], width = corrected.size[1];
-    const Corrector by(enlarged, picture, fit, next_samples, next_doubt, moved, near, *gain, height, width);
+    const Corrector by(enlarged, picture, fit, next_samples, next_doubt, moved, near, *gain, height,
+                       width);
     if (!by) return NO_MEMORY;
     const Long h = by.h, w = by.w;
     const bool twice = height == 2 * h && width == 2 * w;
@@ -543,8 +596,9 @@ static Status correct_rows(Long first, Long last, Picture enlarged, Picture pict
         }
         if (kept != owning) by.put_own_means(owning);
         kept = owning;
-        const Sources from = {by.line(y - 1), by.line(y), by.line(y + 1), by.planes(owning), by.blend, by.inside,
-                              by.own_means, picture(y), by.apart};
+        const Sources from = {by.line(y - 1),    by.line(y), by.line(y + 1),
+                              by.planes(owning), by.blend,   by.inside,
+                              by.own_means,      picture(y), by.apart};
         Long done = 0;
         if (any) {
             each_span_at(near, owning, 2.0f, w, PIXELS(Long x0, Long x1) {
@@ -569,8 +623,8 @@ EXPORT(denoise_correct, correct_rows)
 
 // Filtering: the means of samples as the finest level, and the filtered level at output size.
 
-static void level_rows(Long first, Long last, Picture next_samples, Places rows, Places columns, Places, Places,
-                       NewPicture level) {
+static void level_rows(Long first, Long last, Picture next_samples, Places rows, Places columns,
+                       Places, Places, NewPicture level) {
     const Long w = columns.size[0], left = Long(columns.at[0]), width = level.size[2];
     const Long held = Long(columns.at[w - 1]) - left + 1;
     for (Long y = first; y < last; y++) {
@@ -582,7 +636,8 @@ static void level_rows(Long first, Long last, Picture next_samples, Places rows,
         const float *upper = next_samples(2 * Long(rows.at[y]), 2 * left);
         const float *lower = next_samples(2 * Long(rows.at[y]) + 1, 2 * left);
         across(0, held, PIXELS(auto one, Long x) {
-            store<decltype(one)>(out + x, mean_of_samples<decltype(one)>(upper + 2 * x, lower + 2 * x));
+            store<decltype(one)>(out + x,
+                                 mean_of_samples<decltype(one)>(upper + 2 * x, lower + 2 * x));
         });
         for (Long x = held; x < w; x++) out[x] = out[held - 1];
         for (Long x = w; x < width; x++) out[x] = 0.0f;
@@ -592,8 +647,8 @@ EXPORT(denoise_alpha_level, level_rows)
 
 // By the picture's weights of 3x3 pixels; where nothing is near, that of the pixel itself.
 static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fine, Places part_rows,
-                           Places part_columns, Given<Params> params, Given<Window> window, Cells near, Places out_rows,
-                           Places, NewPicture enlarged) {
+                           Places part_columns, Given<Params> params, Given<Window> window,
+                           Cells near, Places out_rows, Places, NewPicture enlarged) {
     const Long h = part_rows.size[0], w = part_columns.size[0], width = enlarged.size[1];
     const Long top = Long(window->top), left = Long(window->left);
     const bool doubles = window->doubles() && width == 2 * w;
@@ -633,7 +688,8 @@ static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fin
             if (doubles) {
                 across(x0, x1, PIXELS(auto one, Long x) {
                     typedef decltype(one) F;
-                    const AtCorner even = {row, sides[0], x, 2 * lower, 0}, odd = {row, sides[1], x, 2 * lower + 1, 1};
+                    const AtCorner even = {row, sides[0], x, 2 * lower, 0},
+                                   odd = {row, sides[1], x, 2 * lower + 1, 1};
                     const F a = light_sample<F>(row, even, light_weights<F>(even), 0);
                     const F b = light_sample<F>(row, odd, light_weights<F>(odd), 0);
                     store_pairs<F>(out + 2 * x, within<F>(a, 0.0f, 1.0f), within<F>(b, 0.0f, 1.0f));

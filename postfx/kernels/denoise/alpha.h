@@ -1,27 +1,33 @@
-// Pixels of alpha: means of its samples over the frames, alpha by colours, and what filtered alpha lacks of both.
+// Pixels of alpha: means of its samples over the frames, alpha by colours, and what filtered alpha
+// lacks of both.
 #pragma once
 #include "../number.h"
 #include "denoise.h"
 
-constexpr float ALIKE = 3e-5f;  // variance that colours have in any direction, as a share of their mean square
-constexpr float DARK = 1e-20f;  // and beside it
+// Variance that colours have in any direction, as a share of their mean square, and beside it.
+constexpr float ALIKE = 3e-5f;
+constexpr float DARK = 1e-20f;
 constexpr float LARGE = 1e30f;
 constexpr float LEAST_MOTION = 0.015625f;  // render pixels that count as motion
-constexpr float FAINTEST = 1e-6f;          // the smallest variance that is structure
-constexpr float PLANE = 0.6666667f;        // variance in 3x3 pixels of a plane that rises by 1 a pixel
-constexpr float SLOPED = 0.125f;           // and how much of it counts as structure
-constexpr float LIMIT_OFF = 9.0f;          // squares: standard deviations by which 3x3 pixels may differ from before,
-constexpr float LEAST_OFF = 4e-4f;         // and alpha
-constexpr float SIDE = 0.27406862f;        // weights of three pixels by a Gaussian of one pixel
+constexpr float FAINTEST = 1e-6f;  // the smallest variance that is structure
+// Variance in 3x3 pixels of a plane that rises by 1 a pixel, and how much of it is structure.
+constexpr float PLANE = 0.6666667f;
+constexpr float SLOPED = 0.125f;
+// Squares: standard deviations, and alpha, by which 3x3 pixels may differ from before.
+constexpr float LIMIT_OFF = 9.0f;
+constexpr float LEAST_OFF = 4e-4f;
+// Weights of three pixels by a Gaussian of one pixel.
+constexpr float SIDE = 0.27406862f;
 constexpr float MIDDLE = 0.45186276f;
 
-// Variances in units of alpha (1 - alpha): of a frame's alpha, and what a move adds to that of the mean; whether there
-// is a past; the smallest share that a frame's alpha has in the mean.
+// Variances in units of alpha (1 - alpha): of a frame's alpha, and what a move adds to that of the
+// mean; whether there is a past; the smallest share that a frame's alpha has in the mean.
 struct Rates {
     float keep, variance, drift, least;
 };
-// Variance of filtered alpha in those units, 0 where samples count for nothing; of its structure that is as likely
-// noise; how much of what differs from the pixels around is added; how much alpha by colours counts.
+// Variance of filtered alpha in those units, 0 where samples count for nothing; of its structure
+// that is as likely noise; how much of what differs from the pixels around is added; how much alpha
+// by colours counts.
 struct Gain {
     float exact, noise, sharper, fitted;
 };
@@ -34,12 +40,14 @@ template <class F> FN F one_where_moved(const float* moved) {
 
 // Mean of the four samples of render pixels, in two rows from the first pixel on.
 template <class F> FN F mean_of_samples(const float* upper, const float* lower) {
-    return 0.25f * (pick<F, 2>(upper) + pick<F, 2>(upper + 1) + pick<F, 2>(lower) + pick<F, 2>(lower + 1));
+    return 0.25f
+         * (pick<F, 2>(upper) + pick<F, 2>(upper + 1) + pick<F, 2>(lower) + pick<F, 2>(lower + 1));
 }
 
-// What a Kalman filter of the frames' means over pixels makes of a pixel: how far its samples move, and their next
-// variance. It begins anew, as one says, where 3x3 pixels (sums of what they lack, and of alpha) differ by more than
-// chance would have it, or where nothing is known before; that is so of NaN, too.
+// What a Kalman filter of the frames' means over pixels makes of a pixel: how far its samples move,
+// and their next variance. It begins anew, as one says, where 3x3 pixels (sums of what they lack,
+// and of alpha) differ by more than chance would have it, or where nothing is known before; that is
+// so of NaN, too.
 template <class F> struct Update {
     F step, doubt, anew;
 };
@@ -53,8 +61,9 @@ template <class F> FN Update<F> updated(F off, F variance, F apart, F level, con
     return {off * share, left, variance >= 0.0f ? usual : one};
 }
 
-// Alpha by colours in 3x3 pixels: the factors of red, green and blue and the rest, by least squares in Cholesky's way,
-// with no variance below the least. Rows of red, green, blue and alpha, whose second pixel is the middle one's.
+// Alpha by colours in 3x3 pixels: the factors of red, green and blue and the rest, by least squares
+// in Cholesky's way, with no variance below the least. Rows of red, green, blue and alpha, whose
+// second pixel is the middle one's.
 template <class F> struct Fit {
     F by[3], rest;
 };
