@@ -31,7 +31,8 @@ from tests.kernels import denoise_cases, foreign, host_cuda
 from tests.kernels.denoise_cases import ODD, arguments, case_for, run, shape
 from tests.kernels.test_denoise_kernels import FROM_CODES, codes_of
 
-IN_CPP = [kernel for kernel in (*denoise_cases.KERNELS, *(coded for _, coded in FROM_CODES))
+IN_CPP = [kernel for kernel in (*denoise_cases.KERNELS, *denoise_cases.IN_ROWS_ALONE,
+                                *(coded for _, coded in FROM_CODES))
           if isinstance(kernel.rows, Rows)]
 FUSED = [level for level in library.levels() if level != "baseline"] or ["baseline"]
 """Levels that multiply and add in one instruction."""
@@ -110,7 +111,7 @@ def forms(kernel: Kernel, inputs: dict[str, np.ndarray], case: denoise_cases.Cas
     """What every form of a kernel makes of the same arguments."""
     found = {level: dict(zip(kernel.writes, at_level(kernel, level, inputs, case), strict=True))
              for level in library.levels()}
-    if kernel not in CODED | OTHERWISE:
+    if kernel not in CODED | OTHERWISE | {*denoise_cases.IN_ROWS_ALONE}:
         found["portable"] = run(kernel, Device("cpu", 1, compiled_kernels=False), inputs, case)
     if host_cuda.COMPILER and find_source(kernel) and kernel not in CODED:
         found["cuda"] = {name: np.zeros(shape(kernel, name, case), kernel.types.get(name, "float32"))
