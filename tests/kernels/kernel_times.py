@@ -36,6 +36,7 @@ import sys, time
 from importlib import import_module
 import numpy as np
 module, name, folder, level = sys.argv[1:]
+from postfx.kernels.native import bind_rows
 kernel = getattr(import_module("postfx.kernels." + module), name)
 rows = type(kernel.rows)(kernel.rows.name, level=level) if type(kernel.rows).__name__ == "Rows" else kernel.rows
 given = np.load(folder + "/given.npz")
@@ -44,10 +45,13 @@ count = int(arrays.pop()[0])
 rows(0, count, *arrays)
 np.savez(sys.stdin.readline().strip(), *arrays[len(kernel.reads):])
 print("ready", flush=True)
+run = bind_rows(rows, arrays)
 for line in sys.stdin:
+    times = int(line)
     begin = time.thread_time()
-    rows(0, count, *arrays)
-    print(time.thread_time() - begin, flush=True)
+    for _ in range(times):
+        run(0, count)
+    print((time.thread_time() - begin) / times, flush=True)
 """
 
 
@@ -75,9 +79,9 @@ class Side:
             sys.exit("a kernel could not be run: see above")
         return answer
 
-    def seconds(self) -> float:
-        """Processor time of one more run."""
-        return float(self._say("run"))
+    def seconds(self, times: int = 1) -> float:
+        """Mean processor time of some more runs."""
+        return float(self._say(f"{times}"))
 
     def end(self) -> None:
         self._process.communicate()
@@ -106,14 +110,16 @@ def compare(before: Path, kernel: str, level: str) -> str:
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder) / "given.npz", *given.values(), [rows])
         sides = [Side(tree, kernel, Path(folder), level) for tree in (before, ROOT)]
-        turns = min(max(int(SECONDS / max(sides[0].seconds(), 1e-6)), LEAST_TURNS), MOST_TURNS)
-        times = [[side.seconds() for side in sides] for _ in range(turns)]
+        once = max(sides[0].seconds(), 1e-6)
+        turns = min(max(int(SECONDS / once), LEAST_TURNS), MOST_TURNS)
+        each = max(int(SECONDS / MOST_TURNS / once), 1)
+        times = [[side.seconds(each) for side in sides] for _ in range(turns)]
     for side in sides:
         side.end()
     off = max(difference(*pair) for pair in zip(*(side.results for side in sides), strict=True))
     old, new = (statistics.median(column) for column in zip(*times, strict=True))
     ratios = statistics.median(after / earlier for earlier, after in times)
-    return (f"{kernel} {level}: {1e3 * old:.2f} ms before, {1e3 * new:.2f} ms now, ratio {ratios:.2f}, "
+    return (f"{kernel} {level}: {1e3 * old:.3g} ms before, {1e3 * new:.3g} ms now, ratio {ratios:.2f}, "
             f"difference {off:.0e}")
 
 
