@@ -1,8 +1,8 @@
 // Rows of whole pictures.
 #include "image.h"
 
-// Cubic resampling. Values stay within those of the four nearest samples, so that edges do not ring;
-// what is not finite counts as 0.
+// Cubic resampling. Values stay within those of the four nearest samples, so that edges do not
+// ring; what is not finite counts as 0.
 
 constexpr int MARGIN = 5;  // pixels beside a row, so that no tap lies outside
 constexpr float EVEN = 1e-3f;
@@ -35,9 +35,10 @@ struct Resampler {
 
     Resampler(const Picture& image, const Places& rows, const Places& columns)
         : image(image), rows(rows), columns(columns), h(image.size[0]), w(image.size[1]),
-          channels(image.size[2]), width(columns.size[0]), size((w + 2 * MARGIN) * channels + BEHIND),
-          twice(doubles(columns, w)), room((TAPS + 5) * size + 2 * (w * channels + BEHIND)),
-          weights(TAPS * width), index(width), numbers{-1, -1, -1, -1}, bounded{-1, -1} {
+          channels(image.size[2]), width(columns.size[0]),
+          size((w + 2 * MARGIN) * channels + BEHIND), twice(doubles(columns, w)),
+          room((TAPS + 5) * size + 2 * (w * channels + BEHIND)), weights(TAPS * width),
+          index(width), numbers{-1, -1, -1, -1}, bounded{-1, -1} {
         if (!*this) return;
         for (Long i = 0; i < (TAPS + 5) * size; i++) room.at[i] = 0.0f;
         value = room.at + TAPS * size;
@@ -65,7 +66,8 @@ struct Resampler {
         const float* from = image(row);
         float* to = line(row);
         across(0, count, PIXELS(auto one, Long i) {
-            store<decltype(one)>(to + first + i, finite<decltype(one)>(load<decltype(one)>(from + i)));
+            store<decltype(one)>(to + first + i,
+                                 finite<decltype(one)>(load<decltype(one)>(from + i)));
         });
         for (Long i = 0; i < first; i++) {
             to[i] = to[first + i % channels];
@@ -73,8 +75,8 @@ struct Resampler {
         }
     }
 
-    // Cubic sums of four rows, and the least and the largest of the two in the middle, of each pixel
-    // and the one after it.
+    // Cubic sums of four rows, and the least and the largest of the two in the middle, of each
+    // pixel and the one after it.
     void sum(Long y) {
         const Long top = floor_to_whole(rows.at[y]);
         const Taps taps = catmull_rom(rows.at[y] - float(top));
@@ -108,7 +110,8 @@ struct Resampler {
     }
 
     // Numbers a pixel apart, from the first tap on.
-    template <class V> FN_MEMBER V sample(const Taps& taps, V a, V b, V c, V d, V under, V over) const {
+    template <class V>
+    FN_MEMBER V sample(const Taps& taps, V a, V b, V c, V d, V under, V over) const {
         const V found = sum_of_taps<V>(taps, a, b, c, d), held = found > under ? found : under;
         return held < over ? held : over;
     }
@@ -138,7 +141,8 @@ struct Resampler {
             }
         }
     }
-    // A pixel of three or four numbers at once, over which the next one is written; others one by one.
+    // A pixel of three or four numbers at once, over which the next one is written; others one by
+    // one.
     FN_MEMBER void put(float* out, Long x, Four pixel, const float* numbers) const {
         float* to = out + channels * x;
         const bool whole = channels == 4 || (channels == 3 && x + 1 < width);
@@ -173,8 +177,9 @@ struct Resampler {
                 continue;
             }
             for (Long k = 0; k < channels; k++) {
-                out[channels * x + k] = sample<float>(taps, value[a + k], value[b + k], value[c + k],
-                                                      value[d + k], least[b + k], most[b + k]);
+                out[channels * x + k] =
+                    sample<float>(taps, value[a + k], value[b + k], value[c + k], value[d + k],
+                                  least[b + k], most[b + k]);
             }
         }
     }
@@ -215,7 +220,8 @@ static Status enlarge_rows(Long first, Long last, Picture image, Places rows, Pl
             const float infinite = __builtin_inff();
             for (Long x = 0; x < w; x++) {
                 const Four upper = four_at(image(above, x)), lower = four_at(image(below, x));
-                bounds.at[2 * x] = smaller_four(straight(upper, infinite), straight(lower, infinite));
+                bounds.at[2 * x] =
+                    smaller_four(straight(upper, infinite), straight(lower, infinite));
                 bounds.at[2 * x + 1] = larger_four(straight(upper, -infinite),
                                                    straight(lower, -infinite));
             }
@@ -242,7 +248,8 @@ static void over_rows(Long first, Long last, Picture overlay, Picture colour, Ne
             const F alpha = pick<F, 4>(front + 4 * x + 3);
             F found[3];
             for (int c = 0; c < 3; c++) {
-                found[c] = over<F>(pick<F, 4>(front + 4 * x + c), alpha, pick<F, 3>(behind + 3 * x + c));
+                found[c] =
+                    over<F>(pick<F, 4>(front + 4 * x + c), alpha, pick<F, 3>(behind + 3 * x + c));
             }
             store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
         });
@@ -282,8 +289,8 @@ static void checkerboard_rows(Long first, Long last, Places rows, Places columns
 }
 EXPORT(checkerboard, checkerboard_rows)
 
-// Largest difference of a channel between points now and a picture before, bilinear at places, which
-// are brought to its edge; and whether they lie in it.
+// Largest difference of a channel between points now and a picture before, bilinear at places,
+// which are brought to its edge; and whether they lie in it.
 static void compare_rows(Long first, Long last, Picture before, View<const float, 2> now,
                          View<const float, 2> across, View<const float, 2> down,
                          View<float, 2> apart, View<byte, 2> inside) {
@@ -293,7 +300,8 @@ static void compare_rows(Long first, Long last, Picture before, View<const float
         for (Long p = 0; p < across.size[1]; p++) {
             const float at_x = across(n)[p], at_y = down(n)[p];
             inside(n)[p] = at_x >= 0.0f && at_x <= last_x && at_y >= 0.0f && at_y <= last_y;
-            const float x = within<float>(at_x, 0.0f, last_x), y = within<float>(at_y, 0.0f, last_y);
+            const float x = within<float>(at_x, 0.0f, last_x),
+                        y = within<float>(at_y, 0.0f, last_y);
             const Long left = clip(Long(x), width > 1 ? width - 1 : 1);
             const Long top = clip(Long(y), height > 1 ? height - 1 : 1);
             const Long right = clip(left + 1, width), bottom = clip(top + 1, height);
@@ -302,7 +310,8 @@ static void compare_rows(Long first, Long last, Picture before, View<const float
             const float *c = before(bottom, left), *d = before(bottom, right);
             float largest = 0.0f;
             for (Long k = 0; k < channels; k++) {
-                const float upper = a[k] * (1.0f - u) + b[k] * u, lower = c[k] * (1.0f - u) + d[k] * u;
+                const float upper = a[k] * (1.0f - u) + b[k] * u,
+                            lower = c[k] * (1.0f - u) + d[k] * u;
                 const float off = upper * (1.0f - v) + lower * v - now(p)[k];
                 largest = larger<float>(size_of<float>(off), largest);
             }

@@ -21,15 +21,19 @@ FN Four four_at(const float* at) {
 }
 
 // Weights of four taps around a position t in [0, 1) after the second one (Keys 1981, a = -0.5).
+// Each product is rounded, as in the portable definition: a colour that nearly nothing covers is a
+// quotient by its alpha, so that the last bits of alpha count.
 constexpr int TAPS = 4;
 struct Taps {
     float at[TAPS];
 };
 FN Taps catmull_rom(float t) {
+    _Pragma("clang fp contract(off)");
     return {{((-0.5f * t + 1.0f) * t - 0.5f) * t, (1.5f * t - 2.5f) * t * t + 1.0f,
              ((-1.5f * t + 2.0f) * t + 0.5f) * t, (0.5f * t - 0.5f) * t * t}};
 }
 template <class V> FN V sum_of_taps(const Taps& taps, V a, V b, V c, V d) {
+    _Pragma("clang fp contract(off)");
     return taps.at[0] * a + taps.at[1] * b + taps.at[2] * c + taps.at[3] * d;
 }
 

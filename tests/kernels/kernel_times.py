@@ -89,7 +89,7 @@ class Side:
 
 def arguments(module: str, kernel: Kernel) -> tuple[dict[str, np.ndarray], int]:
     """What a kernel reads and writes, and how many rows it has."""
-    if module.startswith("denoise.") or kernel in denoise_cases.KERNELS:
+    if module.startswith("denoise.") or kernel in (*denoise_cases.KERNELS, *denoise_cases.IN_ROWS_ALONE):
         case = denoise_cases.Case(HEIGHT, WIDTH, 2 * HEIGHT, 2 * WIDTH)
         given = denoise_cases.arguments(kernel, case)
         sizes = {name: denoise_cases.shape(kernel, name, case) for name in kernel.writes}
