@@ -239,6 +239,17 @@ template <class F> FN F log_of(F x) {
     return p * m * m * m - 0.5f * m * m + m + number(exponent) * 0.6931471805599453f;
 }
 
+// log2(x) of a normal x > 0, absolute error below 3e-7, in fewer steps: the series of atanh.
+template <class F> FN F log2_of(F x) {
+    typedef typename Of<F>::Int I;
+    const I all = bits(x);
+    const I exponent = (all - 0x3F3504F3) >> 23;
+    const F m = from_bits(all - (exponent << 23));
+    const F z = (m - 1.0f) / (m + 1.0f), q = z * z;
+    const F series = z * (1.0f + q * (1 / 3.0f + q * (0.2f + q * (1 / 7.0f))));
+    return number(exponent) + 2.885390081777927f * series;
+}
+
 // log(1 + x) for x >= 0, relative error below 3e-6: a series below 0.03, where 1 + x would round.
 template <class F> FN F log1p_of(F x) {
     const F third = 1 / 3.0f - x * (0.25f - x * 0.2f);
@@ -269,4 +280,10 @@ template <class F> FN F exp_of(F x) {
 template <class F> FN F expm1_of(F x) {
     const Exponential<F> e = exp_parts<F>(x);
     return e.more * e.power + (e.power - 1.0f);
+}
+
+// 2^x for -126 <= x <= 127, relative error below 2e-7; exact for whole numbers.
+template <class F> FN F exp2_of(F x) {
+    const F n = floor_of(x + 0.5f);
+    return exp_of<F>((x - n) * 0.6931471805599453f) * from_bits((whole(n) + 127) << 23);
 }

@@ -5,7 +5,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from postfx.kernels.denoise import ADDED, EMITTER, LEAST_TINT, MAX_COLOUR, MOST_REFLECTANCE
 from postfx.kernels.native import KernelFunction, functions, intrinsic, ir, types
 
 BRIGHTEST = np.float32(1e10)
@@ -116,98 +115,11 @@ def expm1(x: Real) -> Real:
     return more * power + (power - np.float32(1))
 
 
-@inline
-def log_encode(exposed: Real) -> Real:
-    """log(1 + x) of an exposed colour in [0, 1e4]."""
-    return log1p(min(max(np.float32(0), exposed), np.float32(MAX_COLOUR)))
-
-
-@inline
-def demodulation(diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, y: int, x: int) -> tuple[Real, Real, Real]:
-    """Reflectance that colour is divided by at a pixel: see ``training.ops.demodulation``."""
-    some, others = diffuse_albedo[y, x], specular_albedo[y, x]
-    r, g, b = tinted(some[0] + others[0], some[1] + others[1], some[2] + others[2])
-    return r, g, b
-
-
-@inline
-def tinted(red: Real, green: Real, blue: Real) -> tuple[Real, Real, Real]:
-    """The same of the sum of both albedos."""
-    r, g = clamp(red, np.float32(0), MOST_REFLECTANCE), clamp(green, np.float32(0), MOST_REFLECTANCE)
-    b = clamp(blue, np.float32(0), MOST_REFLECTANCE)
-    peak = max(max(r, g), b)
-    floor, dark, one = LEAST_TINT * peak, peak < EMITTER, np.float32(1)
-    return (one if dark else max(r, floor) + ADDED, one if dark else max(g, floor) + ADDED,
-            one if dark else max(b, floor) + ADDED)
-
-
-@compiled
-def demodulation_row(diffuse_albedo: np.ndarray, specular_albedo: np.ndarray, red: np.ndarray, green: np.ndarray,
-                     blue: np.ndarray) -> None:
-    """The same of a row of both albedos (w, 3) without gaps: several times as fast as pixel by pixel."""
-    some, others = diffuse_albedo.reshape(diffuse_albedo.size), specular_albedo.reshape(specular_albedo.size)
-    for x in range(red.size):
-        red[x], green[x], blue[x] = tinted(some[3 * x] + others[3 * x], some[3 * x + 1] + others[3 * x + 1],
-                                           some[3 * x + 2] + others[3 * x + 2])
-
-
 @vectorised
 def add(row: np.ndarray, total: np.ndarray) -> None:
     """total += row, over the length of ``total``. Loops over this few arrays become vector code."""
     for x in range(total.size):
         total[x] += row[x]
-
-
-@vectorised
-def add_product(weights: np.ndarray, row: np.ndarray, total: np.ndarray) -> None:
-    """total += weights * row, over the length of ``total``."""
-    for x in range(total.size):
-        total[x] += weights[x] * row[x]
-
-
-@vectorised
-def divide(row: np.ndarray, total: np.ndarray) -> None:
-    """row /= total, over the length of ``total``."""
-    for x in range(total.size):
-        row[x] /= total[x]
-
-
-@vectorised
-def between(upper: np.ndarray, lower: np.ndarray, share: Real, scale: Real, out: np.ndarray) -> None:
-    """Linear interpolation of two rows, scaled."""
-    for x in range(out.size):
-        out[x] = (upper[x] + (lower[x] - upper[x]) * share) * scale
-
-
-@vectorised
-def weigh_three(a: np.ndarray, b: np.ndarray, c: np.ndarray, u: Real, v: Real, w: Real, out: np.ndarray) -> None:
-    """a * u + b * v + c * w, over the length of ``out``."""
-    for x in range(out.size):
-        out[x] = a[x] * u + b[x] * v + c[x] * w
-
-
-@vectorised
-def weigh_picked(row: np.ndarray, weights: np.ndarray, index: np.ndarray, out: np.ndarray) -> None:
-    """Three neighbours of a row, beginning at ``index``, by weights (3, width)."""
-    for x in range(index.size):
-        at = index[x]
-        out[x] = row[at] * weights[0, x] + row[at + 1] * weights[1, x] + row[at + 2] * weights[2, x]
-
-
-@vectorised
-def place(row: np.ndarray, first: int, step: int, flat: np.ndarray) -> None:
-    """Spread a row over an interleaved one."""
-    for x in range(row.size):
-        flat[first + step * x] = row[x]
-
-
-@vectorised
-def interleave(even: np.ndarray, odd: np.ndarray, flat: np.ndarray) -> None:
-    """Rows of the red, green and blue of even pixels, and of odd ones, as one row of pixels."""
-    a, b, c, d, e, f = even[0], even[1], even[2], odd[0], odd[1], odd[2]
-    for x in range(a.size):
-        flat[6 * x], flat[6 * x + 1], flat[6 * x + 2] = a[x], b[x], c[x]
-        flat[6 * x + 3], flat[6 * x + 4], flat[6 * x + 5] = d[x], e[x], f[x]
 
 
 # Four or eight numbers in one instruction, which Numba's compiler does not find by itself where code jumps from pixel
@@ -217,30 +129,6 @@ Four: TypeAlias = Any
 """A tuple of four numbers."""
 Eight: TypeAlias = Any
 """A tuple of eight numbers."""
-
-
-@inline
-def load_four(flat: np.ndarray, at: int) -> Four:
-    """Four numbers of a flat array, from a place on."""
-    return _load_four(flat, at)
-
-
-@inline
-def store_four(flat: np.ndarray, at: int, four: Four) -> None:
-    """Put four numbers into a flat array, from a place on."""
-    _store_four(flat, at, four)
-
-
-@inline
-def add_four(total: Four, four: Four, weight: Real) -> Four:
-    """total + four * weight."""
-    return _add_four(total, four, weight)
-
-
-@inline
-def mix_four(some: Four, others: Four, share: Real) -> Four:
-    """some + (others - some) * share."""
-    return _mix_four(some, others, share)
 
 
 @inline
@@ -259,12 +147,6 @@ def store_eight(flat: np.ndarray, at: int, eight: Eight) -> None:
 def add_eight(total: Eight, eight: Eight, weight: Real) -> Eight:
     """total + eight * weight."""
     return _add_eight(total, eight, weight)
-
-
-@inline
-def add_products_of_eight(total: Eight, some: Eight, others: Eight) -> Eight:
-    """total + some * others, number by number."""
-    return _add_products_of_eight(total, some, others)
 
 
 @inline
@@ -379,8 +261,4 @@ def _as_tuple(builder: Any, vector: Any) -> Any:
     return found
 
 
-_load_four, _load_eight = _loader(4), _loader(8)
-_store_four, _store_eight = _storer(4), _storer(8)
-_add_four, _add_eight = _adder(4, False), _adder(8, False)
-_add_products_of_eight = _adder(8, True)
-_mix_four, _mix_eight = _mixer(4), _mixer(8)
+_load_eight, _store_eight, _add_eight, _mix_eight = _loader(8), _storer(8), _adder(8, False), _mixer(8)

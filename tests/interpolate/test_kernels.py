@@ -8,7 +8,6 @@ import pytest
 from postfx import Between
 from postfx.frame import Frame, Role
 from postfx.interpolate import blend, choose, flow, paths, timing
-from postfx.kernels.image import catmull_rom
 from postfx.kernels.numeric import compiled
 from postfx.sampling import cubic_three
 
@@ -70,7 +69,8 @@ def test_pictures_are_sampled_by_cubics_within_the_range_of_four_pixels(sharp):
 
     def taps(t):
         spline = [(1 - t)**3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]
-        return sharp * np.array(catmull_rom.py_func(t)) + (1 - sharp) / 6 * np.array(spline)
+        catmull_rom = [-t**3 + 2 * t**2 - t, 3 * t**3 - 5 * t**2 + 2, -3 * t**3 + 4 * t**2 + t, t**3 - t**2]
+        return sharp / 2 * np.array(catmull_rom) + (1 - sharp) / 6 * np.array(spline)
 
     near = picture[j:j + 2, i:i + 2]
     wanted = np.einsum("jic,j,i->c", picture[j - 1:j + 3, i - 1:i + 3], taps(v), taps(u)).clip(near.min((0, 1)),

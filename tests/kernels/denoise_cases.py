@@ -10,6 +10,8 @@ import numpy as np
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import BLEND, FINE, GUIDE_PLANES, MEMORY, MIRRORED_PLANES, NEAR_CELL
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
+from postfx.kernels.denoise.classic import ATROUS, RESOLVE
+from postfx.kernels.denoise.classic import GATHER as CLASSIC_GATHER
 from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, TRUST
 from postfx.kernels.denoise.history import HISTORY, KEEP, REACTIVE, REFLECTIONS, RESIZE, SPREAD_MASK
 from postfx.kernels.denoise.network_io import (
@@ -50,6 +52,8 @@ KERNELS = (
     DECODE, DECODE_ONE,
     MIX_PARTNER, ENLARGE_MOTION,
 )
+IN_ROWS_ALONE = (CLASSIC_GATHER, ATROUS, RESOLVE)
+"""Kernels that have no other form."""
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "part", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth",
@@ -170,6 +174,10 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
     if name == "params":  # at the render size half of the cases have no jitter
         jitter = random.uniform(-0.5, 0.5, 2) * ((case.h, case.w) != (case.height, case.width) or case.w % 2)
         return np.array([1.7, *jitter, 0.8])
+    if name == "step":  # of the classical filter
+        return np.array([(1, 2, 16)[case.h % 3]])
+    if name == "surface":
+        return np.concatenate((2 * unit[:3] - 1, unit[3:4], unit[4:] - 0.5))
     if name == "means":  # one cell where planes are not doubted
         return unit[:1, :1] if case.h % 2 else unit
     if name in ("raw", "raw_fine", "phased_fine", "fine_logits"):

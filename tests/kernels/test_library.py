@@ -17,11 +17,12 @@ import pytest
 from postfx.errors import BindingError, DeviceError
 from postfx.kernels import Kernel, build, constants_of, find_source, library
 from postfx.kernels.denoise import FINE
+from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.history import HISTORY, KEEP
 from postfx.kernels.denoise.network_io import OPEN_PHASED
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, UPSAMPLE_LIGHT
-from postfx.kernels.denoise.pyramid import FILTER, MIX_LEVELS, POOL, REMODULATE
+from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, MIX_LEVELS, POOL, REMODULATE
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.library import Rows
 from postfx.runtime import ArgumentTable, Device
@@ -30,7 +31,8 @@ from tests.kernels import denoise_cases, foreign, host_cuda
 from tests.kernels.denoise_cases import ODD, arguments, case_for, run, shape
 from tests.kernels.test_denoise_kernels import FROM_CODES, codes_of
 
-IN_CPP = [kernel for kernel in (*denoise_cases.KERNELS, *(coded for _, coded in FROM_CODES))
+IN_CPP = [kernel for kernel in (*denoise_cases.KERNELS, *denoise_cases.IN_ROWS_ALONE,
+                                *(coded for _, coded in FROM_CODES))
           if isinstance(kernel.rows, Rows)]
 FUSED = [level for level in library.levels() if level != "baseline"] or ["baseline"]
 """Levels that multiply and add in one instruction."""
@@ -97,9 +99,10 @@ def test_arm64_gives_the_same_bits_too(tmp_path: Path) -> None:
 
 CODED = {coded for _, coded in FROM_CODES}
 OTHERWISE = {FEATURE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED, UPSAMPLE_LIGHT,
-             ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, KEEP}
+             ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, KEEP, GATHER, FIT, CORRECT, ENLARGE_ALPHA}
 """Kernels whose portable definition has other answers: the first multiply what they leave out by 0, so that NaN and
-infinity get into neighbours; the others hold NaN within bounds, where ONNX's Clip, Min and Max leave it."""
+infinity get into neighbours, as alpha's work on pixels where nothing is near; the others hold NaN within bounds, where
+ONNX's Clip, Min and Max leave it."""
 MOST_CHANGED = 330
 """Numbers that three bad ones may change: 6x6 output pixels of three each."""
 
@@ -108,7 +111,7 @@ def forms(kernel: Kernel, inputs: dict[str, np.ndarray], case: denoise_cases.Cas
     """What every form of a kernel makes of the same arguments."""
     found = {level: dict(zip(kernel.writes, at_level(kernel, level, inputs, case), strict=True))
              for level in library.levels()}
-    if kernel not in CODED | OTHERWISE:
+    if kernel not in CODED | OTHERWISE | {*denoise_cases.IN_ROWS_ALONE}:
         found["portable"] = run(kernel, Device("cpu", 1, compiled_kernels=False), inputs, case)
     if host_cuda.COMPILER and find_source(kernel) and kernel not in CODED:
         found["cuda"] = {name: np.zeros(shape(kernel, name, case), kernel.types.get(name, "float32"))

@@ -16,7 +16,7 @@ WANTED = {
     "postfx.kernels.pixel_formats.dither_rows": [["<f4:2", "f", "<f4:2", "|u1:2"]],
     "postfx.kernels.statistics.largest_bits": [["<u4:1"]],
     "postfx.kernels.statistics.block_means": [["q", "q", "<f4:3", "<i8:1", "<f8:2"]],
-    "postfx.kernels.image.resample_rows": [["q", "q", "<f4:3", "<f4:1", "<f4:1", "<f4:3"]],
+    "postfx.kernels.partner.enlarge_motion_rows": [["q", "q", "<f4:3", "<f4:1", "<f4:1", "<f4:1", "<f4:3"]],
     "postfx.runtime.threads.is_called": [["<i8:2", "q", "q", "q"]],
     "postfx.runtime.threads.hand_out": [["<i8:2", "q", "q", "q", "q"]],
     "postfx.runtime.threads.run_entry": [["q", "q"]],
@@ -39,8 +39,8 @@ import numpy as np
 from postfx.kernels import native
 
 native.FOLDER = Path(sys.argv[1])
-from postfx.kernels.image import RESAMPLE, resample_rows
 from postfx.kernels.numeric import clamp, compiled
+from postfx.kernels.partner import ENLARGE_MOTION, enlarge_motion_rows
 from postfx.kernels.pixel_formats import dither_rows, predict_bytes
 from postfx.kernels.statistics import block_means, largest_bits
 from postfx.runtime import ArgumentTable, Device
@@ -48,6 +48,8 @@ from postfx.runtime.threads import are_done
 
 random = np.random.default_rng(1)
 light = random.random((40, 48, 3), np.float32)
+motion = light[..., :2].copy()
+places = np.arange(17.0, dtype="f"), np.arange(31.0, dtype="f"), np.float32([2, 3])
 values = random.integers(0, 256, 1002, np.uint8)
 fixed = values.copy()
 fixed.flags.writeable = False
@@ -55,30 +57,29 @@ fixed.flags.writeable = False
 
 def results(call):
     bytes_of, means, codes = np.zeros(1002, np.uint8), np.zeros((5, 3)), np.zeros((40, 144), np.uint8)
-    small, params = np.zeros((17, 31, 3), np.float32), np.float32([0, 0])
+    small = np.zeros((17, 31, 2), np.float32)
     flat, grey = light.reshape(40, 144), np.full((64, 64), 0.5, np.float32)
     found = [call(predict_bytes, values, bytes_of), bytes_of.copy(), call(predict_bytes, fixed, bytes_of), bytes_of,
              call(dither_rows, flat, np.float32(255), grey, codes), codes,
              call(largest_bits, light.ravel().view(np.uint32)),
              call(block_means, 0, 5, light, np.array([8]), means), means,
              call(are_done, np.zeros((2, 8), np.int64), 1, 10),
-             call(resample_rows, 0, 17, light, np.arange(17.0, dtype="f"), np.arange(31.0, dtype="f"), small), small]
+             call(enlarge_motion_rows, 0, 17, motion, *places, small), small]
     return found
 
 
 native_results = results(lambda function, *arguments: function(*arguments))
 device = Device("cpu", threads=2)
-tensors = {"image": device.wrap("image", light), "rows": device.wrap("rows", np.arange(17.0, dtype="f")),
-           "columns": device.wrap("columns", np.arange(31.0, dtype="f")),
-           "output": device.heap.tensor("output", (17, 31, 3))}
-tensors = dict(zip((*RESAMPLE.reads, *RESAMPLE.writes), tensors.values(), strict=True))
-state = device.compute_state(RESAMPLE)
+given = (motion, *places, np.zeros((17, 31, 2), np.float32))
+tensors = {name: device.wrap(name, array)
+           for name, array in zip((*ENLARGE_MOTION.reads, "enlarged"), given, strict=True)}
+state = device.compute_state(ENLARGE_MOTION)
 commands = device.command_buffer("any")
 with commands.compute_encoder("any") as encoder:
     encoder.dispatch(state, ArgumentTable(state, tensors))
 commands.commit()
 commands.wait(timeout=60)
-by_device = tensors[RESAMPLE.writes[0]].array.copy()
+by_device = tensors["enlarged"].array.copy()
 assert "numba" not in sys.modules and "llvmlite" not in sys.modules
 for one, other in zip(native_results, results(lambda function, *arguments: function.dispatcher(*arguments)),
                       strict=True):

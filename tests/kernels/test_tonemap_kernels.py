@@ -6,9 +6,10 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from postfx.kernels import Kernel
+from postfx.kernels import Kernel, library
 from postfx.kernels.colour import APPLY_CUBE, CONVERT_PRIMARIES, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD
+from postfx.kernels.library import Rows
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.system import models_dir
 from tests.kernels.tonemap_cases import HOLDS, PACES, SHAPER, Hold, Pace, arguments, sizes
@@ -45,7 +46,7 @@ def by_definition(kernel: Kernel, inputs: list[np.ndarray]) -> np.ndarray:
 
 
 def by_rows(kernel: Kernel, inputs: list[np.ndarray], like: np.ndarray, bands: int) -> np.ndarray:
-    output = np.full_like(like, np.nan)
+    output = np.full(like.shape, np.nan, like.dtype)
     count = output.shape[kernel.row_axis[1]]
     edges = [count * band // bands for band in range(bands + 1)]
     for y0, y1 in zip(edges, edges[1:], strict=False):
@@ -67,6 +68,23 @@ def test_portable_definition_matches(kernel: Kernel, height: int, width: int) ->
     session = onnxruntime.InferenceSession(models_dir() / "kernels" / f"{kernel.name}.onnx")
     found = session.run(list(kernel.writes), dict(zip(kernel.reads, inputs, strict=True)))[0]
     np.testing.assert_allclose(found, by_definition(kernel, inputs), atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("kernel", [kernel for kernel in DEFINITIONS if isinstance(kernel.rows, Rows)],
+                         ids=lambda kernel: kernel.name)
+def test_every_level_gives_the_same_bits(kernel: Kernel) -> None:
+    """Beside values that a file should not hold; without fused products, nearly the same."""
+    for height, width in sizes(kernel):
+        inputs = list(arguments(kernel, height, width).values())
+        like, found = by_definition(kernel, inputs), {}
+        for level in library.levels():
+            found[level] = np.full(like.shape, np.nan, like.dtype)
+            Rows(kernel.rows.name, level=level)(0, like.shape[kernel.row_axis[1]], *inputs, found[level])
+        lowest = found.pop("baseline", None)
+        for level, output in found.items():
+            np.testing.assert_array_equal(output, found["v3"], f"{height}x{width} {level}")
+        if lowest is not None:
+            np.testing.assert_allclose(lowest, like, atol=TOLERANCE)
 
 
 @pytest.mark.parametrize("kernel", DEFINITIONS, ids=lambda kernel: kernel.name)

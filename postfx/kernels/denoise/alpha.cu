@@ -18,14 +18,15 @@ __device__ inline Predicted predicted_at(const View& alpha, const View& moved, c
     const float at_x = float(x) + by.x, at_y = float(y) + by.y;
     Predicted found;
     found.own = clamped(alpha.at[pixel], 0.0f, 1.0f);
-    if (!(nearness(near, y, x) > 0.0f && rates.at[KEEP] > 0.0f && -0.5f <= at_x && at_x <= w - 0.5f && -0.5f <= at_y && at_y <= h - 0.5f)) {
-        for (int i = 0; i < 4; i++) found.quarters[i] = found.own;
-        found.off = 0.0f;
-        found.variance = -1.0f;
-        return found;
-    }
+    for (int i = 0; i < 4; i++) found.quarters[i] = found.own;
+    found.off = 0.0f;
+    found.variance = -1.0f;
+    const bool held = -0.5f <= at_x && at_x <= w - 0.5f && -0.5f <= at_y && at_y <= h - 0.5f;
+    if (!(nearness(near, y, x) > 0.0f && rates.at[KEEP] > 0.0f && held)) return found;
     const int near_x = within(int(floorf(at_x + 0.5f)), w), near_y = within(int(floorf(at_y + 0.5f)), h);
-    found.variance = doubt.at[size_t(near_y) * w + near_x] + (moves_at(moved, pixel) ? rates.at[DRIFT] : 0.0f);
+    const float doubted = doubt.at[size_t(near_y) * w + near_x];
+    if (!(doubted >= 0.0f)) return found;
+    found.variance = doubted + (moves_at(moved, pixel) ? rates.at[DRIFT] : 0.0f);
     const float right = by.x + by.x, down = by.y + by.y, whole_right = floorf(right), whole_down = floorf(down);
     const Four wx = cubic_weights(right - whole_right), wy = cubic_weights(down - whole_down);
     const int left = 2 * x + int(whole_right) - 1, top = 2 * y + int(whole_down) - 1;
@@ -64,7 +65,8 @@ extern "C" __global__ void denoise_gather(View alpha, View moved, View samples, 
     apart /= 9.0f;
     level = clamped(level / 9.0f, 0.0f, 1.0f);
     const float chance = level * (1.0f - level) * (rates.at[VARIANCE] + fminf(here.variance, 1.0f)) / 9.0f;
-    const bool lost = here.variance < 0.0f || apart * apart > LIMIT_OFF * chance + LEAST_OFF;
+    const bool usual = apart * apart <= LIMIT_OFF * chance + LEAST_OFF;  // NaN is not
+    const bool lost = !(here.variance >= 0.0f && usual);
     const float share = fmaxf(here.variance / (here.variance + rates.at[VARIANCE]), rates.at[LEAST]);
     for (int i = 0; i < 4; i++) {
         const float value = clamped(here.quarters[i] + here.off * share, 0.0f, 1.0f);
@@ -133,10 +135,14 @@ __device__ inline Beside beside(int position, int size, int out) {
     return {max(first, 0), min(first + 1, size - 1), offset < 0.0f ? offset + 1.0f : offset};
 }
 
+// Between two numbers; of a share of 0, the second one says nothing.
+__device__ inline float between(float first, float second, float share) {
+    return share == 0.0f ? first : first * (1.0f - share) + second * share;
+}
+
 __device__ inline float mixed(float upper_left, float upper_right, float lower_left, float lower_right, float across,
                               float down) {
-    const float high = upper_left * (1.0f - across) + upper_right * across;
-    return high * (1.0f - down) + (lower_left * (1.0f - across) + lower_right * across) * down;
+    return between(between(upper_left, upper_right, across), between(lower_left, lower_right, across), down);
 }
 
 __device__ inline float softened(const View& filtered, int y, int x) {

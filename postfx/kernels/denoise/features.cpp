@@ -2,20 +2,12 @@
 // (demodulated, log-encoded), diffuse albedo 9, specular albedo 12, normal 15, roughness 18, depth 19, its change 20,
 // valid history 21, sample count 22, jitter 23, length of motion 25, inverse scale 26, hidden state 27.
 #include "features.h"
+#include "recall.h"
 #include "store.h"
 #include "tints.h"
-#include "../rows.h"
 
 typedef View<const float, 3> Picture;
 typedef View<float, 3> NewPicture;
-typedef float Eight __attribute__((ext_vector_type(8)));
-
-template <class Vector> FN Vector load_many(const float* at) {
-    Vector x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
-}
-template <class Vector> FN Vector between(Vector a, Vector b, float share) { return a + (b - a) * share; }
 
 struct Looks {
     Picture colour, diffuse, specular, normal, roughness, depth, moved, state, last_depth, warped;
@@ -31,27 +23,22 @@ struct Looks {
     }
 };
 
-// Memory of a row: places in the history, its shares, depth and validity, the last output's sum and mean; and the first
-// output column that each pixel touches, with the one after the last.
-struct FeatureRooms {
-    Long count, out;
-    Room<int> places, edges;
+// Memory of a row: what is recalled, the last output's sum and mean; and the first output column that each pixel
+// touches, with the one after the last.
+struct FeatureRooms : RecallRooms {
+    Long out;
+    Room<int> edges;
     Room<float> lines, spare;
 
     FeatureRooms(Long count, Long wide, Long out)
-        : count(count), out(out), places(5 * count), edges(2 * count), lines(8 * count + 3 * out),
-          spare(4 * wide) {}
-    explicit operator bool() const { return bool(places) && bool(edges) && bool(lines) && bool(spare); }
-    int* place(int k) const { return places.at + k * count; }
+        : RecallRooms(count), out(out), edges(2 * count), lines(3 * count + 3 * out), spare(4 * wide) {}
+    explicit operator bool() const {
+        return RecallRooms::operator bool() && bool(edges) && bool(lines) && bool(spare);
+    }
     int* left() const { return edges.at; }
     int* right() const { return edges.at + count; }
-    float* tx() const { return lines.at; }
-    float* ty() const { return lines.at + count; }
-    float* valid() const { return lines.at + 2 * count; }
-    float* share() const { return lines.at + 3 * count; }
-    float* before() const { return lines.at + 4 * count; }
-    float* mean(int c) const { return lines.at + (5 + c) * count; }
-    float* total(int c) const { return lines.at + 8 * count + c * out; }
+    float* mean(int c) const { return lines.at + c * count; }
+    float* total(int c) const { return lines.at + 3 * count + c * out; }
 };
 
 // Rows of channels, a step apart.
@@ -67,58 +54,6 @@ FN void fill_edges(const Looks& looks, const FeatureRooms& rooms) {
     for (Long x = 0; x < rooms.count; x++) {
         rooms.left()[x] = int((first + x) * width / w - Long(window.out_left));
         rooms.right()[x] = int(((first + x + 1) * width + w - 1) / w - Long(window.out_left));
-    }
-}
-
-FN void locate_row(const Looks& looks, Long here, const FeatureRooms& rooms) {
-    const int h = int(looks.window.height), w = int(looks.window.width);
-    const float left = looks.window.left, y = looks.window.top + float(here);
-    const float *motion = looks.moved(here), *kept = looks.keep(clip(here, looks.keep.size[0]));
-    for (Long x = 0; x < rooms.count; x++) rooms.share()[x] = kept[clip(x, looks.keep.size[1])];
-    across(0, rooms.count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
-        typedef typename Of<F>::Int I;
-        const F px = ramp<F>(left + float(x), 1.0f) + pick<F, 2>(motion + 2 * x);
-        const F py = y + pick<F, 2>(motion + 2 * x + 1);
-        const Located<F> found = locate<F>(px, py, h, w);
-        const I upper = found.y0 * I(w), lower = found.y1 * I(w);
-        store_int<F>(rooms.place(0) + x, upper + found.x0);
-        store_int<F>(rooms.place(1) + x, upper + found.x1);
-        store_int<F>(rooms.place(2) + x, lower + found.x0);
-        store_int<F>(rooms.place(3) + x, lower + found.x1);
-        store_int<F>(rooms.place(4) + x, found.near);
-        store<F>(rooms.tx() + x, found.right);
-        store<F>(rooms.ty() + x, found.lower);
-        store<F>(rooms.valid() + x, found.inside * load<F>(rooms.share() + x));
-    });
-}
-
-// The state of the frame before, bilinear: mean colour after an exposure change and count in `light` (w, 4), -1 where
-// the history lacks a pixel; and the hidden state. The share that is used scales validity, count and hidden state.
-FN void recall_row(const Looks& looks, const FeatureRooms& rooms, float* light, const ChannelRows& to) {
-    const float gain = looks.params.gain;
-    for (Long x = 0; x < rooms.count; x++) {
-        rooms.before()[x] = looks.last_depth.at[rooms.place(4)[x]];
-        const float tx = rooms.tx()[x], ty = rooms.ty()[x], share = rooms.share()[x];
-        const float *const a = looks.state.at + Long(rooms.place(0)[x]) * STATE;
-        const float *const b = looks.state.at + Long(rooms.place(1)[x]) * STATE;
-        const float *const c = looks.state.at + Long(rooms.place(2)[x]) * STATE;
-        const float *const d = looks.state.at + Long(rooms.place(3)[x]) * STATE;
-        const bool inside = rooms.valid()[x] != 0.0f;
-        const bool lacks = inside && is_unknown(a[3], b[3], c[3], d[3], tx, ty);
-        Four found = {0.0f, 0.0f, 0.0f, lacks ? -1.0f : 0.0f};
-        Eight hidden = 0.0f;
-        if (lacks || !inside) {
-            rooms.valid()[x] = 0.0f;
-        } else {
-            found = between(between(load_many<Four>(a), load_many<Four>(b), tx),
-                            between(load_many<Four>(c), load_many<Four>(d), tx), ty)
-                  * Four{gain, gain, gain, share};
-            hidden = between(between(load_many<Eight>(a + 4), load_many<Eight>(b + 4), tx),
-                             between(load_many<Eight>(c + 4), load_many<Eight>(d + 4), tx), ty) * share;
-        }
-        __builtin_memcpy(light + 4 * x, &found, sizeof found);
-        UNROLL for (int i = 0; i < HIDDEN; i++) to(PLANAR + i)[x] = hidden[i];
     }
 }
 
@@ -166,8 +101,9 @@ FN void feature_row(const Looks& looks, Long here, const FeatureRooms& rooms, fl
     const Window& window = looks.window;
     const Long y = Long(window.top) + here, first = Long(window.left), count = rooms.count;
     const Long h = Long(window.height), height = Long(window.out_height), above = Long(window.out_top);
-    locate_row(looks, here, rooms);
-    recall_row(looks, rooms, light, to);
+    const Recall before = {looks.moved, looks.state, looks.last_depth, looks.keep, looks.params, looks.window};
+    locate_row(before, here, rooms);
+    recall_row(before, rooms, light, to(PLANAR), to.step);
     mean_row(looks, y * height / h - above, ((y + 1) * height + h - 1) / h - above, rooms);
     const float *colour = looks.colour(y, first), *normal = looks.normal(y, first);
     const float *some = looks.diffuse(y, first), *others = looks.specular(y, first);

@@ -4,7 +4,6 @@
 
 constexpr float CLEARLY = 0.9f;        // share of a pixel's depth below which a neighbour is clearly nearer
 constexpr float MOST_MOTION = 1e5f;    // pixels a frame, more than a picture can have
-constexpr float MOST_STATE = 3e5f;     // of all of a pixel's state; beyond it the network's answer is broken
 
 // Motion of a pixel; what no motion can be, such as NaN, becomes 0.
 template <class F> FN F possible_motion(F value) {

@@ -362,7 +362,8 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
         return;
     }
     const float right = fminf(fmaxf(2.0f * u + 0.5f, 0.0f), 1.0f), lower = fminf(fmaxf(2.0f * v + 0.5f, 0.0f), 1.0f);
-    const size_t plane = size_t(fine.size[2]) * fine.size[3];
+    const bool at_corner = (right == 0.0f || right == 1.0f) && (lower == 0.0f || lower == 1.0f);
+    const size_t plane = size_t(fine.size[2]) * fine.size[3], corner = (2 * int(lower) + int(right)) * plane;
     const Number* const head = numbers<Number>(fine) + size_t(row) * fine.size[3] + column;
     float sum = 0.0f, total = TINY;
     for (int j = 0; j < 3; j++) {
@@ -371,7 +372,8 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
         for (int i = 0; i < 3; i++) {
             const float prior = across * gauss(i - 1 + params.at[JITTER_X] - u);
             const Number* const tap = head + (TAP_WEIGHTS + 4 * (3 * j + i)) * plane;
-            const float weight = between_corners(tap, plane, right, lower) * prior;
+            const float own = at_corner ? as_float(tap[corner]) : between_corners(tap, plane, right, lower);
+            const float weight = own * prior;
             total += weight;
             sum += weight * from[within(column + i - 1, w)];
         }
