@@ -153,7 +153,8 @@ def coverage_noise(depth: np.ndarray, farthest: float) -> float:
     rows, inner = max(depth.shape[0] - 1, 0) // 2, depth.shape[1] - 2
     odd = np.zeros(rows, np.float32)
     _coverage_noise(0, rows, np.ascontiguousarray(depth, np.float32), np.array([farthest], np.float32), odd)
-    return float(odd.sum(dtype=np.float64)) / max(rows * inner, 1)
+    found: float = odd.sum(dtype=np.float64).item() / max(rows * inner, 1)
+    return found
 
 
 # The coarse grid
