@@ -25,7 +25,6 @@ import numpy as np
 from postfx import kernels
 from postfx.kernels import native
 from postfx.kernels.native import FOLDER, LEVELS, Kinds, digest_of_sources, target_of
-from postfx.kernels.statistics import copy_pieces
 
 ROOT = Path(__file__).resolve().parent
 COMMANDS = """
@@ -138,8 +137,6 @@ def record(folder: str) -> Wanted:
                 if all(shape is not None for _, shape in shapes):
                     note(kernel.rows, ("q", "q", *(f"{np.dtype(kind).str}:{len(shape or ())}"
                                                    for kind, shape in shapes)))
-    # Results of the sample are too small for these.
-    note(copy_pieces, ("q", "q", "<u4:1", "<u4:1"))
     Dispatcher._compile_for_args, states.compile_rows = called, prepared
     for line in COMMANDS.strip().splitlines():
         words = line.format(sample=ROOT / "samples/room/noisy.####.exr", out=folder)

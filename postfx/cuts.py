@@ -23,7 +23,6 @@ from postfx.kernels.statistics import (
     mix_places,
     pair_means,
     places_inside,
-    share,
     true_correlation,
 )
 from postfx.sampling import bilinear
@@ -151,43 +150,30 @@ def _picture(frame: Frame) -> Picture | None:
     rows, columns = height // block, width // block
     if rows * columns < LEAST_COMPARED:
         return None
-    halves = np.empty((2, rows, columns))
-    share(half_means, rows, colour, np.array([block]), halves)
+    halves = half_means(colour, block)
     mean = (np.sqrt(halves).sum() / halves.size) ** 2
     light = np.log2(halves + (FLOOR * mean or 1.0))
     guides: dict[Role, np.ndarray] = {}
     for role in (Role.DIFFUSE_ALBEDO, Role.NORMAL):
         if role in planes:
-            guides[role] = _cells(planes[role], block)
+            guides[role] = pair_means(planes[role], block)
     if Role.DEPTH in planes:
-        guides[Role.DEPTH] = _log_depth(_cells(planes[Role.DEPTH], block))
+        guides[Role.DEPTH] = _log_depth(pair_means(planes[Role.DEPTH], block))
     motion = None
     if Role.MOTION in planes:
         motion = planes[Role.MOTION][block // 2 :: block, block // 2 :: block][:rows, :columns].astype(float) / block
     return Picture(_band(light.transpose(1, 2, 0)), guides, motion, (block / height, block / width))
 
 
-def _cells(plane: np.ndarray, block: int) -> np.ndarray:
-    """(rows, columns, 2, channels): means of two pairs of pixels of each whole block; such planes have little noise."""
-    height, width, channels = plane.shape
-    cells = np.empty((height // block, width // block, 2, channels))
-    pair_means(plane, block, cells)
-    return cells
-
-
 def _log_depth(depth: np.ndarray) -> np.ndarray:
-    """log2 of depth, which is changed; cells with misses lie one doubling behind the farthest one without."""
-    limit_depths(depth.reshape(-1), DEPTH_MISS / 8, 1e-6)
-    doublings: np.ndarray = np.log2(depth, out=depth)
+    """log2 of depth; cells with misses lie one doubling behind the farthest one without."""
+    doublings: np.ndarray = np.log2(limit_depths(depth, DEPTH_MISS / 8, 1e-6))
     return doublings
 
 
 def _band(planes: np.ndarray) -> np.ndarray:
     """(rows, columns, ...) without the finest noise and without what is wide."""
-    band = np.empty(planes.shape)
-    rows, columns = planes.shape[:2]
-    band_of(np.ascontiguousarray(planes).reshape(rows, columns, -1), SMOOTH, BAND, band.reshape(rows, columns, -1))
-    return band
+    return band_of(planes.reshape(*planes.shape[:2], -1), SMOOTH, BAND).reshape(planes.shape)
 
 
 def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
@@ -196,11 +182,9 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
     None where no plane tells anything, 0 where the motion leads out of the frame before.
     """
     cells = now.light.shape[0] * now.light.shape[1]
-    x, y, numbers = np.empty(cells), np.empty(cells), np.empty(cells, np.int64)
-    count = places_inside(motion, x, y, numbers)
-    if count < max(LEAST_COMPARED, LEAST_OVERLAP * cells):
+    places = places_inside(motion)
+    if len(places[0]) < max(LEAST_COMPARED, LEAST_OVERLAP * cells):
         return 0.0
-    places = x[:count], y[:count], numbers[:count]
     light = _correlation(before.light, now.light, places, LEAST_SPREAD["light"])
     if light is not None and light >= RELATED:
         return light
@@ -227,10 +211,9 @@ def _correlation(
     x, y, numbers = places
     rows, columns = now.shape[:2]
     flat = now.reshape(rows * columns, 2, -1)
-    then = np.empty((numbers.size, 2, flat.shape[2]))
-    mix_places(before.reshape(rows, columns, -1), x, y, then.reshape(numbers.size, -1))
+    then = mix_places(before.reshape(rows, columns, -1), x, y).reshape(numbers.size, *flat.shape[1:])
     found = true_correlation(then, flat.take(numbers, axis=0), least_spread, LEAST_RELIABILITY)
-    return None if math.isnan(found) else float(found)
+    return None if math.isnan(found) else found
 
 
 def _shift(before: Picture, now: Picture) -> np.ndarray:

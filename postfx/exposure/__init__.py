@@ -16,7 +16,7 @@ import numpy as np
 from postfx.errors import ExposureError, PostfxError
 from postfx.files import read_ahead
 from postfx.frame import Frame, Role
-from postfx.kernels.statistics import block_means, share
+from postfx.kernels.statistics import block_means
 
 if TYPE_CHECKING:
     from postfx.io.sequence import Sequence as FrameSequence
@@ -51,8 +51,7 @@ def measure(colour: np.ndarray) -> float | None:
     """
     height, width = colour.shape[:2]
     block = max(BLOCK, math.ceil(max(height, width) / MOST_BLOCKS))
-    means = np.empty((math.ceil(height / block), math.ceil(width / block)))
-    share(block_means, len(means), colour, np.array([block]), means)
+    means = block_means(colour, block)
     if not (means > BLACK).any():
         return None
     bright = float(np.percentile(means[means > 0], PERCENTILES[1]))

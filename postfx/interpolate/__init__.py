@@ -155,8 +155,7 @@ class Between:
         if is_cut or self.after.reset:
             return CUT
         planes = [role for role in (Role.COLOUR, Role.ALPHA, Role.OVERLAY) if self._both_have(role)]
-        same = all(is_same_plane(np.ascontiguousarray(self.before[role]).ravel(),
-                                 np.ascontiguousarray(self.after[role]).ravel()) for role in planes)
+        same = all(is_same_plane(self.before[role], self.after[role]) for role in planes)
         return STILL if same else None
 
     # What is found once for all times
@@ -562,4 +561,4 @@ def _without_lost(motion: np.ndarray, longest: np.float32) -> np.ndarray:
 def _finite(plane: np.ndarray) -> np.ndarray:
     """The plane with 0 for what is not finite; itself if everything is and it lies in one piece."""
     plane = np.ascontiguousarray(plane)
-    return plane if is_finite(plane.ravel()) else np.nan_to_num(plane, nan=0, posinf=0, neginf=0)
+    return plane if is_finite(plane) else np.nan_to_num(plane, nan=0, posinf=0, neginf=0)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from postfx.errors import FrameError, NotCompiledError, PassOptionError
 from postfx.frame import ROLES, Frame, FrameSpec, GuideSpec, Role
+from postfx.kernels.statistics import is_blank
 from postfx.runtime.memory import follow_torch
 
 if TYPE_CHECKING:
@@ -127,9 +128,7 @@ class ResidentFrame:
         """Whether a plane is known to be 0 everywhere, which is not looked for on a GPU."""
         if self.is_away or role not in self.host_planes:
             return role in self.blank
-        from postfx.kernels.statistics import is_blank  # loads Numba, which lists of passes need not wait for
-
-        return bool(is_blank(self.host_planes[role].reshape(-1).view("uint32")))
+        return is_blank(self.host_planes[role])
 
     def set(self, role: Role, tensor: Tensor, blank: bool = False) -> None:
         """Replace or add a plane: a float32 tensor (height, width, channels) that a recorded command writes, or, if it

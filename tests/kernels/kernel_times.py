@@ -58,6 +58,8 @@ for line in sys.stdin:
 class Side:
     """A process that runs a kernel of a commit; `results` are what it wrote the first time."""
 
+    worker = WORKER
+
     def __init__(self, tree: Path, kernel: str, folder: Path, level: str) -> None:
         self._begin(tree, [*kernel.split(":"), str(folder)], level)
         kept = folder / f"{tree.name}.npz"
@@ -67,7 +69,7 @@ class Side:
 
     def _begin(self, tree: Path, words: Sequence[str], level: str) -> None:
         environment = os.environ | native.target_of(NUMBAS[level]) | {"PYTHONPATH": str(tree)}
-        self._process = subprocess.Popen([sys.executable, "-c", WORKER, *words, level], cwd=tree, env=environment,
+        self._process = subprocess.Popen([sys.executable, "-c", self.worker, *words, level], cwd=tree, env=environment,
                                          stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def _say(self, line: str) -> str:
@@ -110,17 +112,21 @@ def compare(before: Path, kernel: str, level: str) -> str:
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder) / "given.npz", *given.values(), [rows])
         sides = [Side(tree, kernel, Path(folder), level) for tree in (before, ROOT)]
-        once = max(sides[0].seconds(), 1e-6)
-        turns = min(max(int(SECONDS / once), LEAST_TURNS), MOST_TURNS)
-        each = max(int(SECONDS / MOST_TURNS / once), 1)
-        times = [[side.seconds(each) for side in sides] for _ in range(turns)]
+        return f"{kernel} {level}: {in_turn(sides)}"
+
+
+def in_turn(sides: Sequence[Side]) -> str:
+    """What two processes take in turn, and how far their results differ."""
+    once = max(sides[0].seconds(), 1e-6)
+    turns = min(max(int(SECONDS / once), LEAST_TURNS), MOST_TURNS)
+    each = max(int(SECONDS / MOST_TURNS / once), 1)
+    times = [[side.seconds(each) for side in sides] for _ in range(turns)]
     for side in sides:
         side.end()
     off = max(difference(*pair) for pair in zip(*(side.results for side in sides), strict=True))
     old, new = (statistics.median(column) for column in zip(*times, strict=True))
     ratios = statistics.median(after / earlier for earlier, after in times)
-    return (f"{kernel} {level}: {1e3 * old:.3g} ms before, {1e3 * new:.3g} ms now, ratio {ratios:.2f}, "
-            f"difference {off:.0e}")
+    return f"{1e3 * old:.3g} ms before, {1e3 * new:.3g} ms now, ratio {ratios:.2f}, difference {off:.0e}"
 
 
 def difference(one: np.ndarray, other: np.ndarray) -> float:
@@ -133,6 +139,16 @@ def difference(one: np.ndarray, other: np.ndarray) -> float:
     return float(apart.max(initial=0) / max(np.abs(one[finite]).max(initial=0), 1e-30))
 
 
+def unpack(commit: str, folder: Path) -> Path:
+    """The sources of a commit, in a folder of their own."""
+    tree = folder / "before"
+    tree.mkdir()
+    packed = subprocess.run(["git", "archive", commit, "postfx"], cwd=ROOT, check=True, capture_output=True).stdout
+    subprocess.run(["tar", "-x"], cwd=tree, input=packed, check=True)
+    (tree / "models").symlink_to(ROOT / "models")
+    return tree
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("commit")
@@ -140,12 +156,7 @@ def main() -> None:
     parser.add_argument("--level", nargs="+", default=["v3", "vnni"], choices=NUMBAS)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        before = Path(folder) / "before"
-        before.mkdir()
-        packed = subprocess.run(["git", "archive", options.commit, "postfx"], cwd=ROOT, check=True,
-                                capture_output=True).stdout
-        subprocess.run(["tar", "-x"], cwd=before, input=packed, check=True)
-        (before / "models").symlink_to(ROOT / "models")
+        before = unpack(options.commit, Path(folder))
         for kernel in options.kernels:
             for level in options.level:
                 print(compare(before, kernel, level), flush=True)

@@ -13,10 +13,13 @@ from postfx.kernels.statistics import (
     INFINITY_BITS,
     band_of,
     block_means,
+    bounds_of_cells,
     coverage_noise,
     half_means,
     is_blank,
-    largest_bits,
+    is_finite,
+    is_same_plane,
+    largest_bits_of,
     lend,
     limit_depths,
     mark_positive,
@@ -47,10 +50,9 @@ def light_of(colour: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("size", [(1, 1), (5, 7), (16, 24)], ids=str)
 def test_block_means(size: tuple[int, int]) -> None:
-    colour, found = bad_colours(*size), np.empty([-(-side // 4) for side in size])
-    middle = len(found) // 2
-    for rows in ((0, middle), (middle, len(found))):
-        block_means(*rows, colour, np.array([4]), found)
+    colour = bad_colours(*size)
+    found = block_means(colour, 4)
+    assert found.shape == tuple(-(-side // 4) for side in size)
     for y, x in np.ndindex(found.shape):
         light = light_of(colour[4 * y:4 * y + 4, 4 * x:4 * x + 4]).ravel()
         light = np.sort(np.maximum(light[np.isfinite(light)], 0))
@@ -59,9 +61,9 @@ def test_block_means(size: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("block", [2, 5])
 def test_means_of_even_and_odd_rows(block: int) -> None:
-    colour, found = bad_colours(11, 15), np.empty((2, 11 // block, 15 // block))
-    for rows in ((0, 1), (1, found.shape[1])):
-        half_means(*rows, colour, np.array([block]), found)
+    colour = bad_colours(11, 15)
+    found = half_means(colour, block)
+    assert found.shape == (2, 11 // block, 15 // block)
     for half, y, x in np.ndindex(found.shape):
         light = light_of(colour[y * block:(y + 1) * block, x * block:(x + 1) * block][half::2]).ravel()
         light = np.sort(np.maximum(np.where(np.isfinite(light), light, 0), 0))
@@ -84,20 +86,21 @@ def test_compared_places(size: tuple[int, int]) -> None:
 @pytest.mark.parametrize("size", [(1, 1, 1), (3, 40, 2), (45, 80, 6)], ids=str)
 @pytest.mark.parametrize("widths", [(1, 3), (3, 17)])
 def test_bands(size: tuple[int, int, int], widths: tuple[int, int]) -> None:
-    planes, found, wanted = RANDOM.normal(size=size), np.empty(size), np.zeros(size)
+    planes, wanted = RANDOM.normal(size=size), np.zeros(size)
     for width, sign in zip(widths, (1, -1), strict=True):
         near = width // 2
         padded = np.pad(planes, ((near, near), (near, near), (0, 0)), "edge")
         wanted += sign * np.lib.stride_tricks.sliding_window_view(padded, (width, width), (0, 1)).mean((3, 4))
-    band_of(planes, *widths, found)
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(band_of(planes, *widths), wanted, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("value", [np.nan, -np.nan, np.inf, -np.inf, 3e38, -1.0, 0.0])
 def test_largest_bits(value: float) -> None:
-    plane = RANDOM.random(1001).astype(np.float32)
-    plane[497] = value
-    bits = largest_bits(plane.view(np.uint32))
+    plane = RANDOM.random((7, 11, 13)).astype(np.float32)
+    plane[3, 5, 3] = value
+    bits = largest_bits_of(plane)
+    assert bits == (plane.view(np.uint32) & 0x7FFFFFFF).max()
+    assert is_finite(plane) == np.isfinite(value)
     assert (bits >= INFINITY_BITS) == (not np.isfinite(value))
     assert (bits > INFINITY_BITS) == np.isnan(value)
 
@@ -110,23 +113,19 @@ def test_pair_means(block: int) -> None:
     plane[2 * block + far, near, 1] = np.nan
     at = {(y, x): plane[y::block, x::block].astype(float)[:3, :5] for y in (near, far) for x in (near, far)}
     pairs = [(at[near, near] + at[far, far]) / 2, (at[near, far] + at[far, near]) / 2]
-    found = np.empty((3, 5, 2, 2))
-    pair_means(plane, block, found)
-    np.testing.assert_array_equal(found, np.nan_to_num(np.stack(pairs, axis=2), posinf=0))
+    np.testing.assert_array_equal(pair_means(plane, block), np.nan_to_num(np.stack(pairs, axis=2), posinf=0))
 
 
 def test_places_in_another_picture() -> None:
     motion = RANDOM.normal(0, 4, (9, 13, 2))
     motion[3, 4] = np.nan
-    x, y, cells = np.empty(117), np.empty(117), np.empty(117, np.int64)
-    count = places_inside(motion, x, y, cells)
+    x, y, cells = places_inside(motion)
     down, across = np.mgrid[:9, :13] + np.moveaxis(motion, 2, 0)[::-1]
     inside = is_inside(motion, across, down)
-    assert 0 < count < 117
-    np.testing.assert_array_equal(cells[:count], np.flatnonzero(inside))
-    before, mixed = RANDOM.normal(size=(9, 13, 6)), np.empty((count, 6))
-    mix_places(before, x[:count], y[:count], mixed)
-    np.testing.assert_array_equal(mixed, bilinear(before, across[inside], down[inside]))
+    assert 0 < len(cells) < 117
+    np.testing.assert_array_equal(cells, np.flatnonzero(inside))
+    before = RANDOM.normal(size=(9, 13, 6))
+    np.testing.assert_array_equal(mix_places(before, x, y), bilinear(before, across[inside], down[inside]))
 
 
 def test_noise_is_taken_from_a_correlation() -> None:
@@ -197,7 +196,30 @@ def test_a_plane_is_blank_without_any_number_but_zeros(place, value):
     plane = np.full(10000, -0.0, np.float32)
     if place is not None:
         plane[place] = value
-    assert is_blank(plane.view(np.uint32)) == (place is None)
+    assert is_blank(plane) == (place is None)
+
+
+@pytest.mark.parametrize("place", [0, 4095, 4096, 9998, 9999])
+def test_planes_are_the_same_with_nan_in_both(place):
+    plane = RANDOM.random((100, 100)).astype(np.float32)
+    plane[3, ::7] = np.nan
+    assert is_same_plane(plane, plane.copy())
+    for value in (np.nan, np.inf, 0.5):
+        other = plane.copy()
+        other.flat[place] = value
+        assert not is_same_plane(plane, other) and not is_same_plane(other, plane)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (7, 9), (40, 61)], ids=str)
+def test_bounds_of_cells(size: tuple[int, int]) -> None:
+    plane = RANDOM.uniform(-0.2, 1.2, size).astype(np.float32)
+    plane.flat[::11] = np.nan
+    low, high = bounds_of_cells(plane, 4)
+    assert low.shape == high.shape == tuple(-(-side // 4) for side in size)
+    for y, x in np.ndindex(low.shape):
+        cell = plane[4 * y:4 * y + 4, 4 * x:4 * x + 4]
+        known = cell[np.isfinite(cell)]
+        assert low[y, x] == known.min(initial=1) and high[y, x] == known.max(initial=0)
 
 
 @pytest.mark.parametrize("missed", [0, 0.3, 1])
@@ -207,5 +229,4 @@ def test_misses_lie_twice_as_far_as_the_farthest_hit(missed):
     depth[::17] = np.nan
     hit = depth < 1e9
     wanted = np.where(hit, np.maximum(depth, 1e-6), 2 * depth[hit].max(initial=1e-6))
-    limit_depths(depth, 1e9, 1e-6)
-    np.testing.assert_array_equal(depth, wanted)
+    np.testing.assert_array_equal(limit_depths(depth, 1e9, 1e-6), wanted)

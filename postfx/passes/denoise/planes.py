@@ -151,7 +151,7 @@ class Planes:
 def shows_volume(depth: np.ndarray, before: bool = False) -> bool:
     """Whether hits and misses of depth (h, w, 1) are noise, as they are where Cycles scatters light in a volume;
     `before`: the last frame's were."""
-    return bool(coverage_noise(depth[..., 0], FARTHEST) > (LOST if before else FOUND))
+    return coverage_noise(depth[..., 0], float(FARTHEST)) > (LOST if before else FOUND)
 
 
 def absent_plane(device: Device, role: Role, size: Size) -> Tensor:
@@ -432,9 +432,7 @@ class Alpha:
 
 def near_cells(alpha: np.ndarray) -> np.ndarray:
     """Cells of alpha (h, w): 2 where 3x3 of them are not all alike, 1 beside those, else 0."""
-    cells = [-(-side // NEAR_CELL) for side in alpha.shape]
-    low, high = np.empty(cells, np.float32), np.empty(cells, np.float32)
-    bounds_of_cells(alpha, NEAR_CELL, low, high)
+    low, high = bounds_of_cells(alpha, NEAR_CELL)
     differ = three_by_three(low, 1, np.minimum) != three_by_three(high, 1, np.maximum)
     found: np.ndarray = differ + three_by_three(differ, 1, np.maximum).astype(np.float32)
     return found

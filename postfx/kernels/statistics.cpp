@@ -1,0 +1,409 @@
+// Rows of what the host looks at in a frame's planes.
+#include "statistics.h"
+#include "rows.h"
+
+typedef View<const float, 3> Picture;
+typedef View<const float, 2> Plane;
+typedef View<const unsigned, 1> Bits;
+typedef View<const Long, 1> Lengths;
+typedef View<const double, 2> Columns;
+typedef View<const double, 3> Cells;
+
+// Whole planes.
+
+// Pieces of WORTH bytes, of which the last may be smaller.
+static void copy_rows(Long first, Long last, Bits source, View<unsigned, 1> target) {
+    constexpr Long EACH = WORTH / Long(sizeof(unsigned));
+    const Long begin = first * EACH, end = smaller<Long>(last * EACH, target.size[0]);
+    if (begin >= end) return;
+    __builtin_memcpy(target.at + begin, source.at + begin, sizeof(unsigned) * (end - begin));
+}
+EXPORT(copy_pieces, copy_rows)
+
+// The largest bits of numbers without their signs: four vectors at once, so that none waits.
+FN WideInt larger_bits(const unsigned* at, WideInt before) {
+    const WideInt found = load_int<Wide>((const int*)at) & 0x7FFFFFFF;
+    return found > before ? found : before;
+}
+FN int largest_of(const unsigned* numbers, Long count) {
+    constexpr Long AT_ONCE = 4, AHEAD = 512;  // numbers that memory is asked for early
+    WideInt wide[AT_ONCE] = {};
+    Long i = 0;
+    for (; i + AT_ONCE * WIDE <= count; i += AT_ONCE * WIDE) {
+        UNROLL for (Long k = 0; k < AT_ONCE; k++) {
+            __builtin_prefetch(numbers + i + k * WIDE + AHEAD);
+            wide[k] = larger_bits(numbers + i + k * WIDE, wide[k]);
+        }
+    }
+    for (; i + WIDE <= count; i += WIDE) wide[0] = larger_bits(numbers + i, wide[0]);
+    int largest = 0;
+    for (; i < count; i++) largest = larger<int>(int(numbers[i] & 0x7FFFFFFF), largest);
+    for (Long k = 0; k < AT_ONCE * WIDE; k++) {
+        largest = larger<int>(wide[k / WIDE][k % WIDE], largest);
+    }
+    return largest;
+}
+static void largest_rows(Long first, Long last, View<const unsigned, 2> rows,
+                         View<unsigned, 1> largest) {
+    for (Long y = first; y < last; y++) largest.at[y] = unsigned(largest_of(rows(y), rows.size[1]));
+}
+EXPORT(largest_bits, largest_rows)
+
+// Whether all numbers are 0.
+static void blank_rows(Long, Long, Bits bits, View<bool, 1> blank) {
+    const Long count = bits.size[0];
+    *blank.at = true;
+    for (Long first = 0; first < count && *blank.at; first += PIECE) {
+        *blank.at = largest_of(bits.at + first, smaller<Long>(count - first, PIECE)) == 0;
+    }
+}
+EXPORT(is_blank, blank_rows)
+
+// Whether all numbers are the same, or NaN in both.
+static void same_rows(Long, Long, Places one, Places other, View<bool, 1> same) {
+    const Long count = one.size[0];
+    *same.at = true;
+    for (Long first = 0; first < count && *same.at; first += PIECE) {
+        Wide wide = Wide(0.0f);
+        float single = 0.0f;
+        across(first, smaller<Long>(first + PIECE, count), PIXELS(auto kind, Long i) {
+            typedef decltype(kind) F;
+            const F a = load<F>(one.at + i), b = load<F>(other.at + i);
+            const F yes = F(1.0f), no = F(0.0f), number = b == b ? yes : no;
+            const F unlike = a == b ? no : a == a ? yes : number;
+            if constexpr (Of<F>::COUNT == 1) single += unlike;
+            else wide += unlike;
+        });
+        for (int i = 0; i < WIDE; i++) single += wide[i];
+        *same.at = single == 0.0f;
+    }
+}
+EXPORT(is_same_plane, same_rows)
+
+// Blocks of pixels.
+
+// Of each column of a row of blocks: its light, its brightest pixel, and pixels that are not
+// finite.
+struct Lights {
+    Room<double> room;
+    Long width;
+    double *total, *brightest, *unknown;
+
+    explicit Lights(Long width)
+        : room(3 * width), width(width), total(room.at), brightest(total + width),
+          unknown(brightest + width) {}
+    explicit operator bool() const { return bool(room); }
+
+    void clear() const {
+        for (Long i = 0; i < 3 * width; i++) room.at[i] = 0.0;
+    }
+    FN_MEMBER void add(const float* row) const {
+        across_once(0, width, PIXELS(auto one, Long x) {
+            typedef decltype(one) F;
+            const Light<F> found = light_of<F>(row + 3 * x);
+            const Double<F> most = load_double<F>(brightest + x);
+            store_double(total + x, load_double<F>(total + x) + found.light);
+            store_double(brightest + x, found.light > most ? found.light : most);
+            store_double(unknown + x, load_double<F>(unknown + x) + found.unknown);
+        });
+    }
+};
+struct Block {
+    double total = 0.0, brightest = 0.0, unknown = 0.0;
+};
+FN Block block_of(const Lights& lights, Long first, Long last) {
+    Block found;
+    for (Long x = first; x < last; x++) {
+        found.total += lights.total[x];
+        found.brightest = larger<double>(lights.brightest[x], found.brightest);
+        found.unknown += lights.unknown[x];
+    }
+    return found;
+}
+
+// Mean luminance of each block of side x side pixels without the brightest. Non-finite pixels are
+// left out, negative ones count as 0. Averaging keeps the noise of one sample a pixel out of the
+// logarithm that follows, which would read it as darkness; without the brightest pixel a firefly is
+// no light.
+static Status block_rows(Long first, Long last, Picture colour, Lengths side,
+                         View<double, 2> means) {
+    const Long height = colour.size[0], width = colour.size[1], block = *side.at;
+    const Lights lights(width);
+    if (!lights) return NO_MEMORY;
+    for (Long j = first; j < last; j++) {
+        const Long begin = j * block, end = smaller<Long>(begin + block, height);
+        lights.clear();
+        for (Long y = begin; y < end; y++) lights.add(colour(y));
+        for (Long i = 0; i < means.size[1]; i++) {
+            const Long left = i * block, right = smaller<Long>(left + block, width);
+            const Block found = block_of(lights, left, right);
+            const double count = double((end - begin) * (right - left)) - found.unknown;
+            const double mean = (found.total - found.brightest) / (count - 1.0);
+            means(j)[i] = count > 1.0 ? mean : found.total;
+        }
+    }
+    return DONE;
+}
+EXPORT(block_means, block_rows)
+
+// Mean luminance of the even and of the odd rows of each whole block of side x side pixels, which
+// show the same with other noise. The brightest pixel of each is left out; pixels that are not
+// finite and negative ones count as 0.
+static Status half_rows(Long first, Long last, Picture colour, Lengths side,
+                        View<double, 3> means) {
+    const Long block = *side.at, columns = means.size[2];
+    const Lights lights(columns * block);
+    if (!lights) return NO_MEMORY;
+    for (Long j = first; j < last; j++) {
+        for (Long half = 0; half < 2; half++) {
+            const Long count = (block + 1 - half) / 2 * block;
+            lights.clear();
+            for (Long row = half; row < block; row += 2) lights.add(colour(j * block + row));
+            for (Long i = 0; i < columns; i++) {
+                const Block found = block_of(lights, i * block, (i + 1) * block);
+                means(half, j)[i] = (found.total - found.brightest) / double(count - 1);
+            }
+        }
+    }
+    return DONE;
+}
+EXPORT(half_means, half_rows)
+
+// Means of two pairs of pixels of each whole block. Each pair lies on a diagonal, a quarter of the
+// block from its corners. Means that are not finite become 0.
+static void pair_rows(Long first, Long last, Picture plane, Lengths side, View<double, 4> means) {
+    const Long block = *side.at, near = block / 4, far = block - 1 - near;
+    for (Long j = first; j < last; j++) {
+        for (Long i = 0; i < means.size[1]; i++) {
+            for (Long pair = 0; pair < 2; pair++) {
+                const Long left = i * block + (pair ? far : near);
+                const Long right = i * block + (pair ? near : far);
+                const float* upper = plane(j * block + near, left);
+                const float* lower = plane(j * block + far, right);
+                double* out = means(j, i, pair);
+                for (Long c = 0; c < means.size[3]; c++) {
+                    const double mean = (double(upper[c]) + double(lower[c])) / 2.0;
+                    out[c] = size_of(mean) < __builtin_inf() ? mean : 0.0;
+                }
+            }
+        }
+    }
+}
+EXPORT(pair_means, pair_rows)
+
+// The least or the largest of each column of rows of a plane, from what is given before.
+template <bool LARGEST>
+FN void extreme_of(const Plane& plane, Long first, Long last, float* found) {
+    for (Long y = first; y < last; y++) {
+        across_once(0, plane.size[1], PIXELS(auto one, Long x) {
+            typedef decltype(one) F;
+            const F value = load<F>(plane(y) + x), before = load<F>(found + x);
+            store<F>(found + x, LARGEST ? larger<F>(value, before) : smaller<F>(value, before));
+        });
+    }
+}
+FN void fill(float* row, Long count, float value) {
+    for (Long x = 0; x < count; x++) row[x] = value;
+}
+
+// The lowest and highest value, 0 to 1, in each cell of so many pixels along a side.
+static Status bounds_rows(Long first, Long last, Plane plane, Lengths side, View<float, 2> low,
+                          View<float, 2> high) {
+    const Long h = plane.size[0], w = plane.size[1], block = *side.at;
+    const Room<float> room(2 * w);
+    if (!room) return NO_MEMORY;
+    float *least = room.at, *most = least + w;
+    for (Long j = first; j < last; j++) {
+        const Long begin = j * block, end = smaller<Long>(begin + block, h);
+        fill(least, w, 1.0f);
+        fill(most, w, 0.0f);
+        extreme_of<false>(plane, begin, end, least);
+        extreme_of<true>(plane, begin, end, most);
+        for (Long i = 0; i < low.size[1]; i++) {
+            float lowest = 1.0f, highest = 0.0f;
+            for (Long x = i * block; x < smaller<Long>((i + 1) * block, w); x++) {
+                lowest = smaller<float>(least[x], lowest);
+                highest = larger<float>(most[x], highest);
+            }
+            low(j)[i] = lowest;
+            high(j)[i] = highest;
+        }
+    }
+    return DONE;
+}
+EXPORT(bounds_of_cells, bounds_rows)
+
+// Sets cells of side x side pixels in which a plane is positive anywhere.
+static Status positive_rows(Long first, Long last, Plane plane, Lengths side, View<bool, 2> cells) {
+    const Long h = plane.size[0], w = plane.size[1], block = *side.at;
+    const Room<float> most(w);
+    if (!most) return NO_MEMORY;
+    for (Long j = first; j < last; j++) {
+        fill(most.at, w, 0.0f);
+        extreme_of<true>(plane, j * block, smaller<Long>((j + 1) * block, h), most.at);
+        for (Long x = 0; x < w; x++) {
+            if (most.at[x] > 0.0f) cells(j)[x / block] = true;
+        }
+    }
+    return DONE;
+}
+EXPORT(mark_positive, positive_rows)
+
+// How many of every second row's pixels, but for the first and the last, are a hit where at least
+// three of four neighbours are misses, or the other way round.
+static void odd_rows(Long first, Long last, Plane depth, Places farthest, View<float, 1> odd) {
+    for (Long n = first; n < last; n++) {
+        const Long y = 2 * n + 1;
+        const float *above = depth(y - 1), *row = depth(y), *below = depth(y + 1);
+        const float far = *farthest.at;
+        Wide wide = Wide(0.0f);
+        float single = 0.0f;
+        across_once(1, depth.size[1] - 1, PIXELS(auto one, Long x) {
+            typedef decltype(one) F;
+            const F beside =
+                hit_of<F>(load<F>(row + x - 1), far) + hit_of<F>(load<F>(row + x + 1), far);
+            const F around =
+                hit_of<F>(load<F>(above + x), far) + hit_of<F>(load<F>(below + x), far);
+            const F found = is_odd<F>(hit_of<F>(load<F>(row + x), far), around + beside);
+            if constexpr (Of<F>::COUNT == 1) single += found;
+            else wide += found;
+        });
+        for (int i = 0; i < WIDE; i++) single += wide[i];
+        odd.at[n] = single;
+    }
+}
+EXPORT(coverage_noise, odd_rows)
+
+// The coarse grid.
+
+// Mean over width x width cells around each cell of a row, edges repeated. The line has room for
+// half of the width beside the row on either side.
+FN void box_row(const Cells& planes, Long y, Long width, double* line, double* means) {
+    const Long rows = planes.size[0], columns = planes.size[1], channels = planes.size[2];
+    const Long near = width / 2, count = columns * channels;
+    double* inner = line + near * channels;
+    for (Long i = 0; i < count; i++) inner[i] = 0.0;
+    for (Long v = y - near; v <= y + near; v++) {
+        const double* row = planes(clip(v, rows));
+        across_once(0, count, PIXELS(auto one, Long i) {
+            typedef decltype(one) F;
+            store_double(inner + i, load_double<F>(inner + i) + load_double<F>(row + i));
+        });
+    }
+    for (Long i = 0; i < near * channels; i++) {
+        line[i] = inner[i % channels];
+        inner[count + i] = inner[count - channels + i % channels];
+    }
+    const double share = 1.0 / double(width * width);
+    across(0, count, PIXELS(auto one, Long i) {
+        typedef decltype(one) F;
+        Double<F> sum = load_double<F>(line + i);
+        for (Long u = 1; u < width; u++) sum += load_double<F>(line + u * channels + i);
+        store_double(means + i, sum * share);
+    });
+}
+
+// Mean over narrow x narrow cells less that over wide x wide ones, both odd.
+static Status band_rows(Long first, Long last, Cells planes, Lengths widths, View<double, 3> band) {
+    const Long columns = planes.size[1], channels = planes.size[2], count = columns * channels;
+    const Long narrow = widths.at[0], wide = widths.at[1];
+    const Room<double> room(count + wide * channels + count);
+    if (!room) return NO_MEMORY;
+    double *means = room.at, *line = means + count;
+    for (Long y = first; y < last; y++) {
+        double* out = band(y);
+        box_row(planes, y, narrow, line, out);
+        box_row(planes, y, wide, line, means);
+        for (Long i = 0; i < count; i++) out[i] -= means[i];
+    }
+    return DONE;
+}
+EXPORT(band_of, band_rows)
+
+// Sums over a channel: as many at once at every level, so that all give the same bits.
+constexpr int SUMS = 8;
+typedef double Sums __attribute__((ext_vector_type(SUMS)));
+template <class Term> FN double sum_of(Long count, const Term& term) {
+    Sums sums = 0.0;
+    Long i = 0;
+    for (; i + SUMS <= count; i += SUMS) sums += term(Sums(), i);
+    double total = 0.0;
+    for (int k = 0; k < SUMS; k++) total += sums[k];
+    for (; i < count; i++) total += term(double(), i);
+    return total;
+}
+template <class D> FN D numbers_at(const double* at) {
+    D x;
+    __builtin_memcpy(&x, at, sizeof x);
+    return x;
+}
+
+// Sums of squares and of products of channels (channels, cells) without their means.
+static void moment_rows(Long first, Long last, Columns one, Columns other, View<double, 2> found) {
+    const Long cells = one.size[1];
+    for (Long c = first; c < last; c++) {
+        const double *a = one(c), *b = other(c);
+        const double mean_a = sum_of(cells, PIXELS(auto kind, Long i) {
+            return numbers_at<decltype(kind)>(a + i);
+        }) / double(cells);
+        const double mean_b = sum_of(cells, PIXELS(auto kind, Long i) {
+            return numbers_at<decltype(kind)>(b + i);
+        }) / double(cells);
+        const auto products =
+            PIXELS(const double* x, double mean_x, const double* y, double mean_y) {
+            return sum_of(cells, PIXELS(auto kind, Long i) {
+                typedef decltype(kind) D;
+                return (numbers_at<D>(x + i) - mean_x) * (numbers_at<D>(y + i) - mean_y);
+            });
+        };
+        double* out = found(c);
+        out[0] = products(a, mean_a, a, mean_a);
+        out[1] = products(b, mean_b, b, mean_b);
+        out[2] = products(a, mean_a, b, mean_b);
+    }
+}
+EXPORT(moments, moment_rows)
+
+// Cells whose motion leads to a place between the outermost cells' centres: places and numbers of
+// those that are, and how many.
+static void place_rows(Long, Long, Cells motion, View<double, 1> x, View<double, 1> y,
+                       View<Long, 1> cells, View<Long, 1> count) {
+    const Long rows = motion.size[0], columns = motion.size[1];
+    Long found = 0;
+    for (Long j = 0; j < rows; j++) {
+        for (Long i = 0; i < columns; i++) {
+            const double across = double(i) + motion(j, i)[0], down = double(j) + motion(j, i)[1];
+            const bool beside = across >= 0.0 && across <= double(columns - 1);
+            if (!(beside && down >= 0.0 && down <= double(rows - 1))) continue;
+            x.at[found] = across;
+            y.at[found] = down;
+            cells.at[found] = j * columns + i;
+            found++;
+        }
+    }
+    *count.at = found;
+}
+EXPORT(places_inside, place_rows)
+
+// Bilinear values at places inside.
+FN double mix(double one, double other, double share) {
+    const double kept = one * (1.0 - share), added = other * share;
+    return kept + added;  // as NumPy does
+}
+static void mixed_rows(Long first, Long last, Cells plane, View<const double, 1> x,
+                       View<const double, 1> y, View<double, 2> mixed) {
+    const Long rows = plane.size[0], columns = plane.size[1];
+    for (Long p = first; p < last; p++) {
+        const Long left = smaller<Long>(Long(x.at[p]), larger<Long>(columns - 2, 0));
+        const Long top = smaller<Long>(Long(y.at[p]), larger<Long>(rows - 2, 0));
+        const Long right = smaller<Long>(left + 1, columns - 1);
+        const Long bottom = smaller<Long>(top + 1, rows - 1);
+        const double u = x.at[p] - double(left), v = y.at[p] - double(top);
+        const double *a = plane(top, left), *b = plane(top, right);
+        const double *c = plane(bottom, left), *d = plane(bottom, right);
+        for (Long k = 0; k < mixed.size[1]; k++) {
+            mixed(p)[k] = mix(mix(a[k], b[k], u), mix(c[k], d[k], u), v);
+        }
+    }
+}
+EXPORT(mix_places, mixed_rows)

@@ -1,0 +1,104 @@
+"""Time of what the host looks at in a frame's planes as a share of that in an earlier commit, and how answers differ.
+
+    python -m tests.kernels.host_times COMMIT [--calls exposure cuts] [--level v3 vnni]
+
+Both commits call the same functions with the same random planes of 1920x1080, in processes of one thread that take
+turns in one run. It prints the medians of processor time, their ratio, and the largest difference in units of the
+largest value.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from tests.kernels.kernel_times import NUMBAS, ROOT, Side, in_turn, unpack
+
+CALLS = {
+    "exposure": "measure(colour)",
+    "cuts": "relate(colour)",
+    "cells of alpha": "near_cells(alpha)",
+    "noise of depth": "shows_volume(depth[..., None])",
+    "active cells": "active_cells(strength)",
+    "bad pixels": "repair_nonfinite(Frame({Role.COLOUR: colour}), (Role.COLOUR,))[1] == {}",
+    "copy": "copy(colour, kept)",
+    "interpolation: finite": "interpolate._finite(colour) is colour",
+}
+WORKER = """
+import sys, time
+import numpy as np
+from postfx import interpolate
+from postfx.cuts import CutDetector
+from postfx.exposure import measure
+from postfx.frame import Frame, Role
+from postfx.kernels import library
+from postfx.passes.denoise.planes import near_cells, shows_volume
+from postfx.passes.denoise.tiling import active_cells
+from postfx.repair import repair_nonfinite
+from postfx.runtime.memory import HostMemory
+call, level = sys.argv[1:]
+library.levels = lambda: ("baseline", level)
+random = np.random.default_rng(1)
+shown = np.kron(random.normal(-2, 2, (27, 48, 1)), np.ones((40, 40, 3)))
+colour = np.exp2(shown + random.normal(0, 1, shown.shape)).astype(np.float32)
+normal = np.clip(shown / 8 + random.normal(0, 0.1, shown.shape), -1, 1).astype(np.float32)
+depth = np.where(random.random((1080, 1920)) < 0.2, np.float32(1e10), colour[..., 0])
+alpha = np.clip(normal[..., 0], 0, 1)
+strength = np.where(random.random((1080, 1920, 1)) < 0.001, np.float32(1), np.float32(0))
+motion = random.normal(0, 3, (1080, 1920, 2)).astype(np.float32)
+planes = {Role.COLOUR: colour, Role.NORMAL: normal, Role.DEPTH: depth[..., None], Role.MOTION: motion}
+frames = [Frame(dict(planes)), Frame(planes | {Role.COLOUR: colour + colour[:, ::-1] / 2})]
+kept = np.zeros_like(colour)
+
+
+def relate(colour):
+    detector = CutDetector()
+    for frame in frames:
+        detector(frame)
+    return detector.relation
+
+
+def copy(source, target):
+    HostMemory().copy(target.ctypes.data, source.ctypes.data, source.nbytes)
+    return target[::100]
+
+
+call = compile(call, "call", "eval")
+np.savez(sys.stdin.readline().strip(), eval(call))
+print("ready", flush=True)
+for line in sys.stdin:
+    times = int(line)
+    begin = time.thread_time()
+    for _ in range(times):
+        eval(call)
+    print((time.thread_time() - begin) / times, flush=True)
+"""
+
+
+class Call(Side):
+    """A process that calls one of these functions; `results` are what it answered the first time."""
+
+    worker = WORKER
+
+    def _begin(self, tree: Path, words: Sequence[str], level: str) -> None:
+        super()._begin(tree, [":".join(words[:-1])], level)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("commit")
+    parser.add_argument("--calls", nargs="+", default=[*CALLS], choices=CALLS)
+    parser.add_argument("--level", nargs="+", default=["v3", "vnni"], choices=NUMBAS)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        before = unpack(options.commit, Path(folder))
+        for name in options.calls:
+            for level in options.level:
+                sides = [Call(tree, CALLS[name], Path(folder), level) for tree in (before, ROOT)]
+                print(f"{name} {level}: {in_turn(sides)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
