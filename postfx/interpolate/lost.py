@@ -1,8 +1,8 @@
 """Motion of cells whose vectors were lost.
 
-An estimate of motion goes on past the edges of what moves: beside a thing that has vectors, it gives that thing's motion
-to the cells that lost theirs. Those cells are known, as the way there and back does not end where it began. They get the
-motion of the lost cells around that are consistent.
+An estimate of motion goes on past the edges of what moves: beside a thing that has vectors, it gives
+that thing's motion to the cells that lost theirs. Those cells are known, as the way there and back does
+not end where it began. They get the motion of the lost cells around that are consistent.
 """
 
 from __future__ import annotations
