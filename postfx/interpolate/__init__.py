@@ -36,6 +36,7 @@ from postfx.interpolate.flow import (
     tone_rows,
 )
 from postfx.interpolate.light import change_of_light, lit_at
+from postfx.interpolate.lost import motion_of_lost
 from postfx.interpolate.timing import camera_between, find_sparks, follow_light, keep_sparks, settle_sparks
 from postfx.kernels.statistics import is_finite, is_same_plane
 from postfx.sampling import bilinear, is_inside
@@ -333,6 +334,12 @@ class Between:
         """Motion of a smaller picture for cells: in pixels of the picture if they were that of cells."""
         return enlarge_motion(motion, *self._grid)
 
+    def _guess(self, side: int, is_lost: np.ndarray) -> np.ndarray:
+        """Motion (rows, columns, 2) of the frame before (0) or after (1) to the other one, in cells, for those that
+        lost their vectors."""
+        consistent = self._flows[side] / np.float32(self._scale)
+        return motion_of_lost(self._enlarge(self._estimated[side]), consistent, is_lost)
+
     def _cells_of(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
         """Motion (rows, columns, 2), in cells, and depth (rows, columns, 1) of a frame that has either."""
         for known, cells in self._gathered:
@@ -369,8 +376,9 @@ class Between:
         if not self._has_vectors:
             motion, later, beyond = self._enlarge(self._estimated[1]), None, []
         elif self._flow and (is_lost := np.isnan(motion[..., 0])).any():
-            motion = np.where(is_lost[..., None], self._enlarge(self._estimated[1]), motion)
-            came = np.where(np.isnan(came), -self._enlarge(self._estimated[0]), came)
+            motion = np.where(is_lost[..., None], self._guess(1, is_lost), motion)
+            no_way = np.isnan(came[..., 0])
+            came = np.where(no_way[..., None], -self._guess(0, no_way), came)
         if not has_depth:
             near, far = self._rank(motion)
         known_from_before = self._has_vectors and Role.MOTION in self.before and not self.before.reset

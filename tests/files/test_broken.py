@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import struct
+import time
 from collections.abc import Callable, Iterator
 from itertools import product
 from pathlib import Path
@@ -168,6 +169,19 @@ def test_broken_files_get_one_clear_line(source: Path, fault: str) -> None:
 
 def test_an_image_that_claims_little_and_is_all_right_is_read(source: Path) -> None:
     assert next(iter(read_sequence(source))).spec.height == 41
+
+
+def test_a_million_channels_are_refused_at_once(source: Path) -> None:
+    """The list was copied for each of them: a file of 17 MB took minutes."""
+    listed = b"".join(b"c%06d\0" % number + struct.pack("<iB3x2i", 1, 0, 1, 1) for number in range(1_000_000))
+    whole = source.read_bytes()
+    at = whole.index(b"chlist\0") + 7
+    end = at + 4 + struct.unpack_from("<i", whole, at)[0]
+    source.write_bytes(whole[:at] + struct.pack("<i", len(listed) + 1) + listed + b"\0" + whole[end:])
+    begin = time.process_time()
+    with pytest.raises(ReadError, match="a part has more than 16384 channels"):
+        list(read_sequence(source))
+    assert time.process_time() - begin < 5
 
 
 @pytest.mark.parametrize("across", [True, False])

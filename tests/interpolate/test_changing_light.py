@@ -5,6 +5,7 @@ import pytest
 
 from postfx import Between, Frame, Role
 from postfx.cuts import CutDetector
+from postfx.interpolate.lost import motion_of_lost
 
 HEIGHT, WIDTH, PAN, FLY = 96, 160, 3.0, (7.0, 2.0)
 Y, X = np.mgrid[:HEIGHT, :WIDTH] + 0.5
@@ -131,3 +132,30 @@ def test_a_wire_is_no_cut_and_no_worse_with_vectors():
         frames = [wire(time, vectors) for time in range(3)]
         quality[vectors] = psnr(Between(*frames).frame(0.5)[Role.COLOUR], wanted)
     assert quality[True] > quality[False] - 0.5
+
+
+@pytest.mark.parametrize("none", [np.nan, 1e10, -65504.0])
+def test_vectors_of_one_thing_alone_are_better_than_none(none):
+    """The wall has no vectors: what is estimated around the disc goes on with the disc, and must not be the wall's."""
+    def disc_alone(motion):
+        return np.where(motion[..., :1] < 0, motion, none)
+
+    pair = frame(0, change=disc_alone), frame(1, change=disc_alone)
+    flow = frame(0, vectors=False), frame(1, vectors=False)
+    wanted, _ = picture(0.5)
+    found, without = (psnr(Between(*one).frame(0.5)[Role.COLOUR], wanted) for one in (pair, flow))
+    assert found > without + 0.7
+
+
+def test_lost_motion_is_that_of_what_is_lost_around():
+    """A column of cells with the motion of something else that has vectors, beside it."""
+    estimated = np.zeros((12, 20, 2), np.float32) + (1.5, 0)
+    estimated[:, 8:12] = -3.5, -1
+    is_lost = np.ones((12, 20), np.bool_)
+    is_lost[:, 10:12] = False
+    consistent = estimated.copy()
+    consistent[:, 8:10] = np.nan
+    found = motion_of_lost(estimated, consistent, is_lost)
+    np.testing.assert_allclose(found[:, :10], np.broadcast_to(np.float32((1.5, 0)), (12, 10, 2)), atol=1e-5)
+    np.testing.assert_array_equal(found[:, 10:], estimated[:, 10:])
+    np.testing.assert_array_equal(motion_of_lost(estimated, np.full_like(estimated, np.nan), is_lost), estimated)

@@ -21,6 +21,7 @@ _BLOCK = 1 << 13
 MAX_HEADERS = 64 << 20
 """Bytes that all headers of a file may have together."""
 MAX_PARTS = 4096
+MAX_CHANNELS = 16384
 SCANLINES, TILES, DEEP_SCANLINES, DEEP_TILES = "scanlineimage", "tiledimage", "deepscanline", "deeptile"
 PART_TYPES = (SCANLINES, TILES, DEEP_SCANLINES, DEEP_TILES)
 PIXEL_BYTES = (4, 2, 4)
@@ -94,8 +95,10 @@ class Header:
         """Channels in the order of the file, which is that of their names."""
         stored, found, at = self._value("channels"), [], 0
         while stored[at : at + 1] not in (b"\0", b""):
-            end = stored.index(b"\0", at) if b"\0" in stored[at:] else len(stored)
-            if end + 17 > len(stored):
+            end = stored.find(b"\0", at)
+            if len(found) >= MAX_CHANNELS:
+                raise ReadError(f"a part has more than {MAX_CHANNELS} channels")
+            if end < 0 or end + 17 > len(stored):
                 raise ReadError("its list of channels ends early")
             kind, linear, x, y = struct.unpack_from("<iB3x2i", stored, end + 1)
             if kind not in (0, 1, 2) or x < 1 or y < 1:
