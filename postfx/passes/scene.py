@@ -261,7 +261,7 @@ BRIGHTEST = 1e6
 class Irradiance(_Linear):
     """Lights surfaces by a network of one scene: colour becomes diffuse albedo times the irradiance of the normal / pi.
 
-    `python -m training.irradiance` trains it. Misses, and what reflects nothing diffusely, keep their colour.
+    `python -m training.train_scene irradiance` trains it. Misses, and what reflects nothing diffusely, keep their colour.
 
     Options:
         model: ONNX file; without one the pass does nothing.
@@ -276,7 +276,7 @@ class Irradiance(_Linear):
         self._found = None if model is None else _find_model(self.name, model)
         if self._found and self._found[2] != ("points",):
             raise ModelError(f"model '{model}' reads {', '.join(self._found[2])}, where pass 'irradiance' has points: "
-                             "train one by python -m training.irradiance")
+                             "train one by python -m training.train_scene irradiance")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         reads = (Role.COLOUR, Role.NORMAL, Role.DIFFUSE_ALBEDO)
