@@ -261,7 +261,8 @@ BRIGHTEST = 1e6
 class Irradiance(_Linear):
     """Lights surfaces by a network of one scene: colour becomes diffuse albedo times the irradiance of the normal / pi.
 
-    `python -m training.train_scene irradiance` trains it. Misses, and what reflects nothing diffusely, keep their colour.
+    `python -m training.train_scene irradiance` trains it. Misses, and what reflects nothing diffusely, keep their
+    colour.
 
     Options:
         model: ONNX file; without one the pass does nothing.

@@ -1,4 +1,4 @@
-"""What a small network that shades one scene point by point reads of a pixel, and what its light is multiplied by."""
+"""What a small network of a scene reads of each pixel, and what its light is multiplied by."""
 
 from __future__ import annotations
 
@@ -39,10 +39,11 @@ class SceneBox(NamedTuple):
     def of_card(cls, card: Mapping[str, Any], model: str) -> SceneBox:
         """The box that training wrote into a model's card. ModelError if there is none."""
         facts = card.get(CARD, {})
-        middle, reach = np.asarray(facts.get("middle", ()), np.float32), float(facts.get("reach", 0))
+        middle = np.asarray(facts.get("middle", ()), np.float32)
+        reach = float(facts.get("reach", 0))
         if middle.shape != (3,) or not np.isfinite(middle).all() or not 0 < reach < np.inf:
-            raise ModelError(f"model '{model}' has no card with the scene's box beside it: keep the JSON file that "
-                             "python -m training.train_scene points wrote with it")
+            raise ModelError(f"model '{model}' has no card with the scene's box beside it: keep "
+                             "the JSON file that python -m training.train_scene points wrote with it")
         return cls(middle, reach)
 
     def card(self) -> dict[str, Any]:
@@ -53,7 +54,8 @@ class SceneBox(NamedTuple):
 def rays_of(camera: np.ndarray, height: int, width: int) -> np.ndarray:
     """View rays (height, width, 3), 1 long along the view axis.
 
-    camera: (16,): its axes left, up and forward, its place, tangents of half the field of view, jitter.
+    camera: (16,): its axes left, up and forward, its place, tangents of half the field of view,
+        and jitter.
     """
     across = (1 - 2 * (np.arange(width, dtype=np.float32) + 0.5 + camera[14]) / width) * camera[12]
     down = (1 - 2 * (np.arange(height, dtype=np.float32) + 0.5 + camera[15]) / height) * camera[13]
@@ -66,8 +68,13 @@ def places_of(camera: np.ndarray, depth: np.ndarray) -> np.ndarray:
     return np.asarray(camera[9:12] + depth * rays_of(camera, *depth.shape[:2]), np.float32)
 
 
-def points_of(camera: np.ndarray, depth: np.ndarray, normal: np.ndarray, box: SceneBox) -> np.ndarray:
-    """What the network reads: (pixels, 9) of depth (height, width, 1) and normals in the world (height, width, 3)."""
+def points_of(
+    camera: np.ndarray, depth: np.ndarray, normal: np.ndarray, box: SceneBox
+) -> np.ndarray:
+    """What the network reads, (pixels, 9).
+
+    depth: (height, width, 1). normal: (height, width, 3), in the world.
+    """
     rays = rays_of(camera, *depth.shape[:2])
     points = np.empty((*depth.shape[:2], POINT), np.float32)
     place = camera[9:12] - box.middle + depth * rays
@@ -79,10 +86,12 @@ def points_of(camera: np.ndarray, depth: np.ndarray, normal: np.ndarray, box: Sc
 
 
 def reflectance_of(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
-    """What light is divided by, (height, width, 3): both albedos with a floor, 1 for lamps and misses."""
+    """What light (height, width, 3) is divided by: both albedos with a floor, 1 for lamps and
+    misses."""
     total = diffuse + specular
     peak = total.max(-1, keepdims=True)
-    return np.where(peak < EMITTER, np.float32(1), np.maximum(total, FLOOR * peak) + LEAST).astype(np.float32)
+    floored = np.maximum(total, FLOOR * peak) + LEAST
+    return np.where(peak < EMITTER, np.float32(1), floored).astype(np.float32)
 
 
 def light_to_learn(light: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
@@ -90,7 +99,9 @@ def light_to_learn(light: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
     return np.log1p(np.maximum(light, 0) / reflectance).reshape(-1, 3).astype(np.float32)
 
 
-def light_of(values: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, colour: np.ndarray) -> np.ndarray:
+def light_of(
+    values: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, colour: np.ndarray
+) -> np.ndarray:
     """Light (height, width, 3) of what the network gave; lamps and misses keep their colour."""
     learnt = np.expm1(np.clip(values.reshape(colour.shape), 0, np.float32(MOST_LOG)))
     is_emitter = (diffuse + specular).max(-1, keepdims=True) < EMITTER

@@ -1,11 +1,12 @@
-"""How far a window's edge reaches: the largest difference to the whole frame, by the halo around what is denoised.
+"""How far a window's edge reaches: the largest difference to the whole frame, by the halo.
 
     python -m training.measure.halo SEQUENCE ... --halos 48 56 72 [--model s] [--scale 2] [--guides]
 
-Denoises the first frame of each sequence (a pattern such as samples/room/noisy.####.exr), whole and masked but for its
-top rows, in windows that end exactly a halo below these rows. Prints the largest difference where strength is 1, in
-[0, 1] of (x / (1 + x))^(1 / 2.2) of exposed light. With guides the frame's own planes, repeated, stand in for sharp
-ones. `halo_of` in postfx/passes/denoise/models.py has the halos in use.
+Denoises the first frame of each sequence (a pattern such as samples/room/noisy.####.exr), whole and
+masked but for its top rows, in windows that end exactly a halo below these rows. Prints the largest
+difference where strength is 1, in [0, 1] of (x / (1 + x))^(1 / 2.2) of exposed light. With guides
+the frame's own planes, repeated, stand in for sharp ones. `halo_of` in
+postfx/passes/denoise/models.py has the halos in use.
 """
 
 from __future__ import annotations
@@ -49,17 +50,21 @@ def guided(frame: Frame, scale: int) -> Frame:
 
 
 def rows_for(halo: int, height: int) -> list[int]:
-    """How many rows to denoise, so that their windows end a halo below, on the grid, and within the frame."""
+    """How many rows to denoise, so that their windows end a halo below, on the grid and within the
+    frame."""
     ends = range(GRID, height - GRID, GRID)
     return [end - halo - REACH for end in ends if end - halo - REACH > 2 * REACH][:WINDOWS]
 
 
-def difference(frame: Frame, whole: np.ndarray, exposure: float, options: dict[str, object], halo: int) -> float:
+def difference(
+    frame: Frame, whole: np.ndarray, exposure: float, options: dict[str, object], halo: int
+) -> float:
     """The largest of some windows. ValueError where a frame is too low for any."""
     device, found = Device("cpu"), []
     for rows in rows_for(halo, frame[Role.COLOUR].shape[0]):
         with mock.patch.object(windows, "halo_of", lambda _: halo):
-            part = Pipeline([DenoiseUpscale(**options)], device, exposure=np.log2(exposure))  # type: ignore[arg-type]
+            instance = DenoiseUpscale(**options)  # type: ignore[arg-type]
+            part = Pipeline([instance], device, exposure=np.log2(exposure))
             colour = part(masked(frame, rows))[Role.COLOUR]
         if not any("strength is 0 there" in skip.why for skip in part.explain().skips):
             continue
@@ -67,13 +72,15 @@ def difference(frame: Frame, whole: np.ndarray, exposure: float, options: dict[s
         error = np.abs(seen(colour, exposure) - seen(whole, exposure))
         found.append(float(error[:(rows - REACH) * scale].max()))
     if not found:
-        raise ValueError(f"a frame of {frame[Role.COLOUR].shape[0]} rows has no window with a halo of {halo}")
+        rows = frame[Role.COLOUR].shape[0]
+        raise ValueError(f"a frame of {rows} rows has no window with a halo of {halo}")
     return max(found)
 
 
 def main(words: Sequence[str] | None = None) -> None:
     """Print a line for each sequence."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    as_written = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=as_written)
     parser.add_argument("sequences", nargs="+")
     parser.add_argument("--model", default="s")
     parser.add_argument("--scale", type=int, default=2)
@@ -86,8 +93,10 @@ def main(words: Sequence[str] | None = None) -> None:
         frame = guided(frame, given.scale) if given.guides else frame
         way = Pipeline([DenoiseUpscale(**options)], Device("cpu"))  # type: ignore[arg-type]
         whole = way(frame)[Role.COLOUR]
-        found = (f"{halo}: {difference(frame, whole, way.exposure, options, halo):.1e}" for halo in given.halos)
-        print(f"{given.model} {given.scale}x{' guides' * given.guides}, {pattern}: {', '.join(found)}", flush=True)
+        found = (f"{halo}: {difference(frame, whole, way.exposure, options, halo):.1e}"
+                 for halo in given.halos)
+        name = f"{given.model} {given.scale}x{' guides' * given.guides}"
+        print(f"{name}, {pattern}: {', '.join(found)}", flush=True)
 
 
 if __name__ == "__main__":

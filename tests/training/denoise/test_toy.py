@@ -34,7 +34,8 @@ def test_held_out_quality_rises(tmp_path: Path) -> None:
     quality = []
     for line in lines:
         words = [sys.executable, *line.split()[1:]]
-        done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+        done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True,
+                              check=True)
         told = re.findall(r"^validation (\{.*\})$", done.stdout, re.MULTILINE)
         quality += [json.loads(told[-1])["validation_psnr"]] if told else []
     start, end = quality
