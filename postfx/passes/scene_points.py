@@ -105,4 +105,5 @@ def light_of(
     """Light (height, width, 3) of what the network gave; lamps and misses keep their colour."""
     learnt = np.expm1(np.clip(values.reshape(colour.shape), 0, np.float32(MOST_LOG)))
     is_emitter = (diffuse + specular).max(-1, keepdims=True) < EMITTER
-    return np.where(is_emitter, colour, learnt * reflectance_of(diffuse, specular))
+    light: np.ndarray = np.where(is_emitter, colour, learnt * reflectance_of(diffuse, specular))
+    return light
