@@ -96,7 +96,8 @@ def reflectance_of(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
 
 def light_to_learn(light: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
     """What the network is to give: (pixels, 3) of light (height, width, 3), 0 and more."""
-    return np.log1p(np.maximum(light, 0) / reflectance).reshape(-1, 3).astype(np.float32)
+    logs: np.ndarray = np.log1p(np.maximum(light, 0) / reflectance).reshape(-1, 3)
+    return logs.astype(np.float32)
 
 
 def light_of(
