@@ -1,19 +1,23 @@
 """Measure how the time of a frame falls with the share of it that is masked.
 
-python samples/masked_speed.py [--width 960] [--height 540] [--runs 5] [--model m] [-o masked.png]
+python samples/masked_speed.py [--width 960] [--height 540] [--runs 5] [--model m] [--scale 2] [--guides]
+                               [--shares 0,90] [-o masked.png]
 
 The upper part of the picture has strength 0, as a sky would; the rest is denoised. Prints medians of runs in turn, for
 the denoised upscaler alone and with tone mapping, over those of a frame without a mask; the picture is of the same.
+Each run has other noise than the one before, as frames of a shot do: so all but the first go on from a history.
 """
 import argparse
 import statistics
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from compare_speed import noisy_frame
 
 import postfx
+from postfx.frame import GUIDE_ROLES
 
 SHARES = (0, 25, 50, 75, 90, 99)
 
@@ -23,17 +27,32 @@ def masked(frame: postfx.Frame, percent: int) -> postfx.Frame:
     height, width = frame[postfx.Role.COLOUR].shape[:2]
     strength = np.ones((height, width, 1), np.float32)
     strength[:round(height * percent / 100)] = 0
-    return postfx.Frame({**frame.planes, postfx.Role.STRENGTH: strength}, jitter=frame.jitter)
+    return replace(frame, planes={**frame.planes, postfx.Role.STRENGTH: strength})
 
 
-def measure(frame: postfx.Frame, model: str, runs: int) -> Iterator[tuple[int, dict[str, float], dict[str, float]]]:
+def noisy_frames(width: int, height: int, guided_scale: int | None) -> list[postfx.Frame]:
+    """Frames of the same kind with other noise, for runs in turn; with guides of so many times their size."""
+    random = np.random.default_rng(2)
+    frames = [noisy_frame(width, height) for _ in range(2)]
+    for plane in frames[1].planes.values():
+        random.shuffle(plane)  # rows: the same values at other places
+    if guided_scale is None:
+        return frames
+    sharp = np.ones((guided_scale, guided_scale, 1), np.float32)
+    return [replace(frame, guides={role: np.kron(frame[role], sharp) for role in GUIDE_ROLES if role in frame.planes})
+            for frame in frames]
+
+
+def measure(frames: list[postfx.Frame], model: str, scale: float, runs: int,
+            shares: Iterable[int] = SHARES) -> Iterator[tuple[int, dict[str, float], dict[str, float]]]:
     """For each share of masked pixels the milliseconds of each pass, and those without a mask, in turn with them."""
-    whole = chain(model)
-    for percent in SHARES:
-        frames, times = {whole: frame, chain(model): masked(frame, percent)}, {}
+    whole = chain(model, scale)
+    for percent in shares:
+        ways = {whole: frames, chain(model, scale): [masked(frame, percent) for frame in frames]}
+        times: dict[postfx.Pipeline, list[dict[str, float]]] = {}
         for run in range(runs + 2):
-            for way, seen in frames.items():
-                way(seen)
+            for way, seen in ways.items():
+                way(seen[run % len(seen)])
                 if run >= 2:
                     times.setdefault(way, []).append(way.timings)
         without, found = ({name: statistics.median(one[name] for one in some) for name in some[0]}
@@ -41,8 +60,8 @@ def measure(frame: postfx.Frame, model: str, runs: int) -> Iterator[tuple[int, d
         yield percent, found, without
 
 
-def chain(model: str) -> postfx.Pipeline:
-    return postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=model), postfx.ToneMap()])
+def chain(model: str, scale: float) -> postfx.Pipeline:
+    return postfx.Pipeline([postfx.DenoiseUpscale(scale=scale, model=model), postfx.ToneMap()])
 
 
 def plot(ratios: list[tuple[int, float, float]], title: str, path: Path) -> None:
@@ -68,17 +87,22 @@ def main() -> None:
     parser.add_argument("--height", type=int, default=540)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--model", default="m")
+    parser.add_argument("--scale", type=int, default=2)
+    parser.add_argument("--guides", action="store_true", help="give frames guides of the output's size")
+    parser.add_argument("--shares", default=",".join(map(str, SHARES)), help="masked, %% (default: %(default)s)")
     parser.add_argument("-o", "--output", type=Path, help="picture to write")
     args = parser.parse_args()
     ratios = []
-    for share, found, whole in measure(noisy_frame(args.width, args.height), args.model, args.runs):
+    frames = noisy_frames(args.width, args.height, args.scale if args.guides else None)
+    shares = map(int, args.shares.split(","))
+    for share, found, whole in measure(frames, args.model, args.scale, args.runs, shares):
         alone, toned = found["denoise_upscale"], sum(found.values())
         ratios.append((share, alone / whole["denoise_upscale"], toned / sum(whole.values())))
         _, ratio, toned_ratio = ratios[-1]
         print(f"{share:3} % masked: denoised upscaler {alone:5.0f} of {whole['denoise_upscale']:5.0f} ms, {ratio:.2f}; "
               f"with tone mapping {toned:5.0f} of {sum(whole.values()):5.0f} ms, {toned_ratio:.2f}", flush=True)
     if args.output:
-        plot(ratios, f"{args.width}x{args.height} to twice the size, model {args.model}", args.output)
+        plot(ratios, f"{args.width}x{args.height} to {args.scale} times the size, model {args.model}", args.output)
 
 
 if __name__ == "__main__":

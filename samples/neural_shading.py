@@ -19,33 +19,12 @@ from matplotlib.figure import Figure
 from sky import shown
 
 import postfx
-from postfx import Device, Frame, Role, integrate
+from postfx import Device, Frame, Role
 from postfx.neural import Learner, Network
+from postfx.passes.scene import camera_of
+from postfx.passes.scene_points import SceneBox, light_to_learn, places_of, points_of, reflectance_of
 
 ROOM = Path(__file__).parent / "room"
-AXES = {"right": "-x", "forward": "+z"}
-"""Of Mitsuba's cameras."""
-EMITTER = 0.005
-
-
-def reflectance_of(frame: Frame) -> np.ndarray:
-    """What light is divided by: diffuse and specular albedo with a floor, 1 for lamps and misses."""
-    total = frame[Role.DIFFUSE_ALBEDO] + frame[Role.SPECULAR_ALBEDO]
-    peak = total.max(-1, keepdims=True)
-    return np.where(peak < EMITTER, 1, np.maximum(total, 0.15 * peak) + 0.01)
-
-
-def points_of(frame: Frame, middle: np.ndarray, reach: float) -> np.ndarray:
-    """What the network reads of each pixel: (pixels, 9), about within -1..1."""
-    height, width = frame[Role.DEPTH].shape[:2]
-    clip = frame.world_to_camera @ integrate.perspective(frame.fov_x, width, height, **AXES)
-    places = integrate.positions_from_depth(frame[Role.DEPTH], clip, frame.jitter)
-    ways = integrate.view_rays(width, height, clip, frame.jitter)[1]
-    ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
-    normal = frame[Role.NORMAL]
-    mirrored = ways - 2 * (ways * normal).sum(-1, keepdims=True) * normal
-    inner = np.clip((places - middle) / reach, -1.5, 1.5)
-    return np.concatenate([inner, normal, mirrored], -1).reshape(-1, 9).astype(np.float32)
 
 
 def light_of(reference: Frame, frame: Frame) -> np.ndarray:
@@ -69,15 +48,22 @@ wanted = {frame.number: light_of(reference, frame) for frame, reference in
           zip(frames, postfx.read_sequence(chosen.reference), strict=True)}
 known = [frame for frame in frames if frame.number not in chosen.held_out]
 held = [frame for frame in frames if frame.number in chosen.held_out]
-raw = []
-for frame in known:
-    height, width = frame[Role.DEPTH].shape[:2]
-    clip = frame.world_to_camera @ integrate.perspective(frame.fov_x, width, height, **AXES)
-    raw.append(integrate.positions_from_depth(frame[Role.DEPTH], clip, frame.jitter)[frame[Role.DEPTH][..., 0] < 1e9])
-low, high = np.quantile(np.concatenate(raw), (0.01, 0.99), axis=0)
-middle, reach = (low + high) / 2, float((high - low).max() / 2)
-points = np.concatenate([points_of(frame, middle, reach) for frame in known])
-targets = np.concatenate([np.log1p(wanted[frame.number] / reflectance_of(frame)).reshape(-1, 3) for frame in known])
+raw = [places_of(camera_of(frame), frame[Role.DEPTH])[frame[Role.DEPTH][..., 0] < 1e9] for frame in known]
+box = SceneBox.around(np.concatenate(raw))
+
+
+def seen_in(frame: Frame) -> np.ndarray:
+    """What the network reads of each pixel."""
+    return points_of(camera_of(frame), frame[Role.DEPTH], frame[Role.NORMAL], box)
+
+
+def divisor_of(frame: Frame) -> np.ndarray:
+    """What light is divided by."""
+    return reflectance_of(frame[Role.DIFFUSE_ALBEDO], frame[Role.SPECULAR_ALBEDO])
+
+
+points = np.concatenate([seen_in(frame) for frame in known])
+targets = np.concatenate([light_to_learn(wanted[frame.number], divisor_of(frame)) for frame in known])
 
 device, network = Device("cpu", threads=chosen.threads), Network(9, (64, 64, 64), 3, "gelu", bands=4, encoded=3)
 learner, began = Learner(device, network, seed=0), time.process_time()
@@ -92,7 +78,7 @@ def psnr(found: np.ndarray, truth: np.ndarray) -> float:
 
 rows, times, pictures = [], [], []
 for frame in held:
-    truth, places = wanted[frame.number], device.wrap("points", points_of(frame, middle, reach))
+    truth, places = wanted[frame.number], device.wrap("points", seen_in(frame))
     values = device.heap.tensor("values", (truth.shape[0] * truth.shape[1], 3))
     for _ in range(5):
         commands = device.command_buffer("shade")
@@ -101,7 +87,7 @@ for frame in held:
         commands.commit()
         commands.wait()
         times.append(sum(taken for _, taken in commands.timings))
-    found = np.expm1(np.clip(values.array.reshape(truth.shape), 0, 20)) * reflectance_of(frame)
+    found = np.expm1(np.clip(values.array.reshape(truth.shape), 0, 20)) * divisor_of(frame)
     near = min(known, key=lambda other: abs(other.number - frame.number))
     rows.append((psnr(found, truth), psnr(frame[Role.COLOUR], truth), psnr(wanted[near.number], truth)))
     pictures.append((f"frame {frame.number}: reference", truth))

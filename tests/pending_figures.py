@@ -48,9 +48,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Looks for other software: ",
         "Time",
     ),
-    "docs/howto/doctor.md": (
-        "Broken on purpose",
-    ),
     "docs/howto/exposure.md": (
         "Metering",
         "The hint never changes the brightness",
@@ -60,9 +57,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     ),
     "docs/howto/farm.md": (
         "How well chunks join",
-    ),
-    "docs/howto/hosts.md": (
-        "ComfyUI",
     ),
     "docs/howto/integration.md": (
         "Motion",
@@ -105,7 +99,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Doubt in planes",
         "Volumes",
         "At 1x",
-        "Windows",
         "Clean input",
         "Time budget",
         "Reflections",

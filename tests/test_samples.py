@@ -335,7 +335,10 @@ def test_pictures_of_tools_show_what_they_say(tmp_path):
 
 def test_passes_by_networks_of_scenes_are_timed():
     rows = run("scene_passes.py", "--runs", "1").splitlines()
-    assert len(rows) == 6 and all(float(row.split()[-2]) > 0 for row in rows[1:])
+    assert len(rows) == 7 and all(float(row.split()[-4]) > 0 for row in rows[1:])
+    (points,) = (row for row in rows if row.startswith("scene_shading, points"))
+    busy, rate = (float(points.split()[at]) for at in (-6, -4))
+    assert abs(busy * rate / 1000 - 1) < 0.1
 
 
 def test_every_script_is_run_here():

@@ -74,14 +74,14 @@ def error(network: Network, parameters: np.ndarray, frames: list[Frame]) -> floa
     return float(np.mean((values.array - targets) ** 2))
 
 
-def main() -> None:
+def main(words: list[str] | None = None) -> None:
     """Train, tell the error and write the model."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("reference", help="pattern of the sequence, such as room.####.exr")
     parser.add_argument("model", type=Path, help="ONNX file to write")
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--hidden", type=int, nargs="+", default=(16, 16))
-    given = parser.parse_args()
+    given = parser.parse_args(words)
     frames = list(postfx.read_sequence(given.reference))
     held = frames[HELD_OUT - 1::HELD_OUT] or frames[-1:]
     seen = [frame for frame in frames if not any(frame is other for other in held)] or frames

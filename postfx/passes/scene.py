@@ -13,9 +13,10 @@ from typing import ClassVar, Never
 import numpy as np
 
 from postfx.errors import FrameError, ModelError, PassOptionError
-from postfx.frame import DEPTH_MISS, LOG, FrameSpec, Role
+from postfx.frame import DEPTH_MISS, LOG, Frame, FrameSpec, Role
 from postfx.kernels.occlusion import CAMERA, HORIZONS, SMOOTH, SURFACE
 from postfx.passes import Pass, Reflection, ResidentFrame
+from postfx.passes.scene_points import POINT, SceneBox, light_of, points_of
 from postfx.runtime import (
     ArgumentTable,
     CommandBuffer,
@@ -260,7 +261,8 @@ BRIGHTEST = 1e6
 class Irradiance(_Linear):
     """Lights surfaces by a network of one scene: colour becomes diffuse albedo times the irradiance of the normal / pi.
 
-    `python -m training.irradiance` trains it. Misses, and what reflects nothing diffusely, keep their colour.
+    `python -m training.train_scene irradiance` trains it. Misses, and what reflects nothing diffusely, keep their
+    colour.
 
     Options:
         model: ONNX file; without one the pass does nothing.
@@ -275,7 +277,7 @@ class Irradiance(_Linear):
         self._found = None if model is None else _find_model(self.name, model)
         if self._found and self._found[2] != ("points",):
             raise ModelError(f"model '{model}' reads {', '.join(self._found[2])}, where pass 'irradiance' has points: "
-                             "train one by python -m training.irradiance")
+                             "train one by python -m training.train_scene irradiance")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         reads = (Role.COLOUR, Role.NORMAL, Role.DIFFUSE_ALBEDO)
@@ -322,6 +324,8 @@ def _lit(colour: np.ndarray, normal: np.ndarray, albedo: np.ndarray, values: np.
 
 PLANES = {"diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1, "depth": 1, "motion": 2, "colour": 3}
 """Planes that a network of a scene may read, with their channels."""
+POINT_PLANES = ("depth", "normal", "diffuse_albedo", "specular_albedo", "colour")
+"""Planes that are read around a network of points."""
 STATE = 7
 """Numbers of a pixel that a network with history hands on."""
 FACTS = 16
@@ -331,8 +335,9 @@ FACTS = 16
 class SceneShading(_Linear):
     """Shades frames by a network that knows one scene, from their planes.
 
-    Some kinds also read what they made of the frame before, or a noisy colour.
-    `python -m training.scene_network` trains all three kinds. Frames need the camera and its field of view.
+    A network of points sees each pixel alone; a U-Net sees its neighbours, and some kinds also read what they made of
+    the frame before, or a noisy colour. `python -m training.train_scene` trains all of them. Frames need the camera
+    and its field of view.
 
     Options:
         model: ONNX file; without one the pass does nothing.
@@ -346,10 +351,14 @@ class SceneShading(_Linear):
         super().__init__(model=model, **unknown)
         self._found = None if model is None else _find_model(self.name, model)
         self._inputs = self._found[2] if self._found else ()
+        self._box: SceneBox | None = None
+        if self._found and self._inputs == ("points",):
+            self._box = SceneBox.of_card(self._found[0].card(self._found[1]), str(model))
+            self._inputs = (*POINT_PLANES, "camera")
         strange = [name for name in self._inputs if name not in (*PLANES, "camera", "before")]
         if strange or (self._found and "camera" not in self._inputs):
             raise ModelError(f"model '{model}' reads {', '.join(self._inputs)}, which is no network of a scene: train "
-                             "one by python -m training.scene_network")
+                             "one by python -m training.train_scene")
         self._states: list[Tensor] = []
         self._fresh = True
 
@@ -372,9 +381,13 @@ class SceneShading(_Linear):
         assert self._found is not None  # or it is skipped
         library, name, _ = self._found
         size = spec.height, spec.width
-        network = device.pipeline_state(library, name, {"height": spec.height, "width": spec.width})
         self._camera = device.heap.tensor("camera", (FACTS,))
         self._shaded = device.heap.transient("shaded", (*size, 3))
+        if self._box is not None:
+            self._compile_points(device, spec, self._box)
+            super().compile(device, spec)
+            return
+        network = device.pipeline_state(library, name, {"height": spec.height, "width": spec.width})
         self._network = ArgumentTable(network, {"camera": self._camera, "shaded": self._shaded})
         self._states = []
         if "before" in self._inputs:
@@ -383,9 +396,39 @@ class SceneShading(_Linear):
             self._nothing.fill(0)
         super().compile(device, spec)
 
+    def _compile_points(self, device: Device, spec: FrameSpec, box: SceneBox) -> None:
+        """Tables of the commands around a network that sees each pixel alone."""
+        assert self._found is not None
+        library, name, _ = self._found
+        count, new = spec.height * spec.width, device.heap.transient
+        points, values = new("points", (count, POINT)), new("light", (count, 3))
+
+        def look(camera: np.ndarray, depth: np.ndarray, normal: np.ndarray, seen: np.ndarray) -> None:
+            seen[...] = points_of(camera, depth, normal, box)
+
+        looks = device.host_state("points of a scene", ("camera", "depth", "normal"), ("points",), look)
+        lights = device.host_state("light of points", ("values", "diffuse_albedo", "specular_albedo", "colour"),
+                                   ("output",), _shade)
+        self._looks = ArgumentTable(looks, {"camera": self._camera, "points": points})
+        network = device.pipeline_state(library, name, {"points": count})
+        self._network = ArgumentTable(network, {"points": points, "values": values})
+        self._lights = ArgumentTable(lights, {"values": values, "output": self._shaded})
+
+    def _encode_points(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
+        for table, names in ((self._looks, ("depth", "normal")),
+                             (self._lights, ("diffuse_albedo", "specular_albedo", "colour"))):
+            for name in names:
+                table[name] = frame[Role(name)]
+        for table in (self._looks, self._network, self._lights):
+            self._dispatch(commands, "scene", table)
+        frame.set(Role.COLOUR, self._shaded)
+
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._camera.put(_facts_of(frame))
+        self._camera.put(camera_of(frame))
+        if self._box is not None:
+            self._encode_points(commands, frame)
+            return
         for name in self._planes():
             self._network[name] = frame[Role(name)]
         if self._states:
@@ -409,13 +452,22 @@ class SceneShading(_Linear):
             self._states[1].upload(history["state"])
 
 
-def _facts_of(frame: ResidentFrame) -> np.ndarray:
-    """Place and axes of the camera, tangents and jitter. FrameError where the file does not tell them."""
+def _shade(values: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, colour: np.ndarray,
+           output: np.ndarray) -> None:
+    output[...] = light_of(values, diffuse, specular, colour)
+
+
+def camera_of(frame: Frame | ResidentFrame) -> np.ndarray:
+    """A frame's camera for networks of a scene, (16,): axes and place, tangents and jitter.
+
+    Raises FrameError where the file does not tell them.
+    """
     if frame.world_to_camera is None or not frame.fov_x:
         lacking = "field of view" if frame.world_to_camera is not None else "camera"
         raise FrameError(f"frame {frame.number} has no {lacking} in its file, which pass 'scene_shading' needs: render "
                          "with the camera's matrix and field of view in the header")
     to_world = np.linalg.inv(np.asarray(frame.world_to_camera).T)
     tangent = np.tan(np.radians(frame.fov_x) / 2)
-    ratio = frame.spec.height / frame.spec.width
+    height, width = frame[Role.DEPTH].shape[:2] if isinstance(frame, Frame) else (frame.spec.height, frame.spec.width)
+    ratio = height / width
     return np.array([*to_world[:3, :4].T.ravel(), tangent, tangent * ratio, *frame.jitter], np.float32)

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import postfx
-from postfx import Device, Frame, Pipeline, Role
+from postfx import Device, Frame, Pipeline, Role, integrate
 from postfx.errors import FrameError, ModelError, PassOptionError
+from postfx.neural import Network
 from postfx.passes import scene
-from postfx.passes.scene import Irradiance, Occlusion, SceneShading
-from training import irradiance
+from postfx.passes.scene import Irradiance, Occlusion, SceneShading, camera_of
+from postfx.passes.scene_points import POINT, places_of, reflectance_of
+from training import irradiance, train_scene
 
 ROOM = Path(__file__).parents[2] / "samples/room"
 SIZE = (40, 56)
@@ -166,6 +168,49 @@ def test_irradiance_is_learnt_and_lights_surfaces(device: Device, tmp_path: Path
     assert (lit[0] == 7).all()
     np.testing.assert_allclose(lit[1:], frames[2][Role.COLOUR][1:], rtol=0.15)
     assert np.abs(lit[1:] / frames[2][Role.COLOUR][1:] - 1).mean() < 0.03
+
+
+def lit_room(frame: Frame) -> Frame:
+    """The frame by light of a known form: it grows with the place in the room, and with the normal."""
+    place = places_of(camera_of(frame), frame[Role.DEPTH])
+    shines = frame[Role.DEPTH] < 1e9
+    light = np.where(shines, 1 + 0.2 * np.tanh(place) + 0.5 * np.maximum(frame[Role.NORMAL][..., 1:2], 0), 1.0)
+    colour = light * reflectance_of(frame[Role.DIFFUSE_ALBEDO], frame[Role.SPECULAR_ALBEDO])
+    return Frame({Role.COLOUR: colour.astype(np.float32)}, number=frame.number)
+
+
+def test_places_are_those_of_the_projection(room: list[Frame]) -> None:
+    """Mitsuba's cameras look along +z, with x to the left."""
+    for frame in room:
+        height, width = frame[Role.DEPTH].shape[:2]
+        axes = {"right": "-x", "forward": "+z"}
+        clip = frame.world_to_camera @ integrate.perspective(frame.fov_x, width, height, **axes)
+        wanted = integrate.positions_from_depth(frame[Role.DEPTH], clip, frame.jitter)
+        hit = frame[Role.DEPTH][..., 0] < 1e9
+        np.testing.assert_allclose(places_of(camera_of(frame), frame[Role.DEPTH])[hit], wanted[hit], atol=1e-3)
+
+
+def test_a_network_of_points_learns_light_and_shades(device: Device, room: list[Frame], tmp_path: Path) -> None:
+    """A frame that it has not seen, in which lamps keep their colour."""
+    model = tmp_path / "room.onnx"
+    lit = [lit_room(frame) for frame in room]
+    train_scene.train_points(room[:2], lit[:2], (16, 16), 400, model)
+    shaded = Pipeline([SceneShading(model=str(model))], device, exposure=1.0)(room[2])[Role.COLOUR]
+    truth, emits = lit[2][Role.COLOUR], room[2][Role.DIFFUSE_ALBEDO] + room[2][Role.SPECULAR_ALBEDO]
+    emits = emits.max(-1) < 0.005
+    assert emits.any() and train_scene.psnr(shaded[~emits], truth[~emits]) > 30
+    np.testing.assert_array_equal(shaded[emits], room[2][Role.COLOUR][emits])
+
+
+def test_a_network_of_points_needs_its_card(tmp_path: Path, room: list[Frame]) -> None:
+    network = Network(POINT, (4,), 3, "gelu", bands=4, encoded=3)
+    network.save_onnx(tmp_path / "room.onnx", network.initial(1))
+    with pytest.raises(ModelError, match="no card with the scene's box beside it: keep the JSON file"):
+        SceneShading(model=str(tmp_path / "room.onnx"))
+    with pytest.raises(FrameError, match="no multiple of its frame's"):
+        train_scene.light_at(Frame({Role.COLOUR: np.zeros((7, 9, 3), np.float32)}), room[0])
+    with pytest.raises(FrameError, match="has no normal.*: render these planes, too"):
+        train_scene.box_of([Frame({Role.COLOUR: room[0][Role.COLOUR], Role.DEPTH: room[0][Role.DEPTH]})])
 
 
 def test_passes_stand_on_the_command_line(postfx) -> None:

@@ -1,0 +1,103 @@
+"""How far a window's edge reaches: the largest difference to the whole frame, by the halo.
+
+    python -m training.measure.halo SEQUENCE ... --halos 48 56 72 [--model s] [--scale 2] [--guides]
+
+Denoises the first frame of each sequence (a pattern such as samples/room/noisy.####.exr), whole and
+masked but for its top rows, in windows that end exactly a halo below these rows. Prints the largest
+difference where strength is 1, in [0, 1] of (x / (1 + x))^(1 / 2.2) of exposed light. With guides
+the frame's own planes, repeated, stand in for sharp ones. `halo_of` in
+postfx/passes/denoise/models.py has the halos in use.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from unittest import mock
+
+import numpy as np
+
+from postfx import DenoiseUpscale, Device, Frame, Pipeline, Role, read_sequence
+from postfx.frame import GUIDE_ROLES
+from postfx.passes.denoise import frame as windows
+from postfx.passes.denoise.tiling import GRID, REACH
+
+GAMMA = 1 / 2.2
+WINDOWS = 8
+"""Most windows of different heights for each frame."""
+
+
+def seen(light: np.ndarray, exposure: float) -> np.ndarray:
+    """Light as a display shows it."""
+    exposed = light * exposure
+    result: np.ndarray = (exposed / (1 + exposed)) ** GAMMA
+    return result
+
+
+def masked(frame: Frame, rows: int) -> Frame:
+    """The frame with strength in its top rows only."""
+    strength = np.zeros((*frame[Role.COLOUR].shape[:2], 1), np.float32)
+    strength[:rows] = 1
+    return replace(frame, planes={**frame.planes, Role.STRENGTH: strength})
+
+
+def guided(frame: Frame, scale: int) -> Frame:
+    """The frame with its own planes, repeated, as guides."""
+    block = np.ones((scale, scale, 1), np.float32)
+    roles = [role for role in GUIDE_ROLES if role in frame.planes]
+    return replace(frame, guides={role: np.kron(frame[role], block) for role in roles})
+
+
+def rows_for(halo: int, height: int) -> list[int]:
+    """How many rows to denoise, so that their windows end a halo below, on the grid and within the
+    frame."""
+    ends = range(GRID, height - GRID, GRID)
+    return [end - halo - REACH for end in ends if end - halo - REACH > 2 * REACH][:WINDOWS]
+
+
+def difference(
+    frame: Frame, whole: np.ndarray, exposure: float, options: dict[str, object], halo: int
+) -> float:
+    """The largest of some windows. ValueError where a frame is too low for any."""
+    device, found = Device("cpu"), []
+    for rows in rows_for(halo, frame[Role.COLOUR].shape[0]):
+        with mock.patch.object(windows, "halo_of", lambda _: halo):
+            instance = DenoiseUpscale(**options)  # type: ignore[arg-type]
+            part = Pipeline([instance], device, exposure=np.log2(exposure))
+            colour = part(masked(frame, rows))[Role.COLOUR]
+        if not any("strength is 0 there" in skip.why for skip in part.explain().skips):
+            continue
+        scale = len(colour) // frame[Role.COLOUR].shape[0]
+        error = np.abs(seen(colour, exposure) - seen(whole, exposure))
+        found.append(float(error[:(rows - REACH) * scale].max()))
+    if not found:
+        rows = frame[Role.COLOUR].shape[0]
+        raise ValueError(f"a frame of {rows} rows has no window with a halo of {halo}")
+    return max(found)
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Print a line for each sequence."""
+    as_written = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=as_written)
+    parser.add_argument("sequences", nargs="+")
+    parser.add_argument("--model", default="s")
+    parser.add_argument("--scale", type=int, default=2)
+    parser.add_argument("--guides", action="store_true")
+    parser.add_argument("--halos", type=int, nargs="+", required=True, help="render pixels")
+    given = parser.parse_args(words)
+    options: dict[str, object] = {"model": given.model, "scale": given.scale}
+    for pattern in given.sequences:
+        frame = next(iter(read_sequence(pattern)))
+        frame = guided(frame, given.scale) if given.guides else frame
+        way = Pipeline([DenoiseUpscale(**options)], Device("cpu"))  # type: ignore[arg-type]
+        whole = way(frame)[Role.COLOUR]
+        found = (f"{halo}: {difference(frame, whole, way.exposure, options, halo):.1e}"
+                 for halo in given.halos)
+        name = f"{given.model} {given.scale}x{' guides' * given.guides}"
+        print(f"{name}, {pattern}: {', '.join(found)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
