@@ -70,7 +70,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Typical mistakes",
     ),
     "docs/howto/masks.md": (
-        "Sky and misses: ",
         "What has converged: ",
         "Transparency overlay",
         "Measured",
@@ -131,7 +130,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     ),
     "docs/lab/masks.md": (
         "What leaving converged pixels costs",
-        "Edges of overlays",
         "Ghosts",
     ),
     "docs/lab/neural.md": (
