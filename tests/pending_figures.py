@@ -130,7 +130,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     ),
     "docs/lab/masks.md": (
         "What leaving converged pixels costs",
-        "Ghosts",
     ),
     "docs/lab/neural.md": (
         "Ambient occlusion",
