@@ -64,7 +64,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Typical mistakes",
     ),
     "docs/howto/masks.md": (
-        "Sky and misses: ",
         "What has converged: ",
         "Transparency overlay",
         "Measured",
@@ -124,8 +123,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     ),
     "docs/lab/masks.md": (
         "What leaving converged pixels costs",
-        "Edges of overlays",
-        "Ghosts",
     ),
     "docs/lab/neural.md": (
         "Ambient occlusion",

@@ -226,7 +226,10 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
         return 5 * unit**3
     if name == "sums":
         power = (4.0, 0.18, 32.0, 4.0)[case.h % 4]  # neither faint nor loud; between filtered or not; and loud or not
-        return np.concatenate((256 + 0 * unit[..., :1], power * unit[..., 1:2] ** 4, unit[..., 2:]), -1)
+        counted = np.concatenate((256 + 0 * unit[..., :1], power * unit[..., 1:2] ** 4, unit[..., 2:]), -1)
+        return counted * (unit[..., :1] > (0.3 if case.h % 3 == 0 else -1))  # where nothing is judged, all are 0
+    if name == "judged":
+        return unit > (0.3 if case.h % 3 == 0 else -1)
     if name == "difference":
         return np.array([1.7, 3.0, 0.1])
     if name in ("reactive", "last_reactive", "keep"):  # whole numbers, too

@@ -109,6 +109,8 @@ def test_detail_is_told_from_noise_tile_by_tile(evidence: float, what: Callable[
     inputs = {"colour": (denoised + removed[..., None]).astype(np.float32), "denoised": denoised,
               "params": np.float32([1, 0, 0, 1])}
     tiles = -(-h // TILE), -(-w // TILE)
+    inputs["judged"] = np.ones((*tiles, 1), np.float32)
+    inputs["judged"][3:5, 7:20] = 0
     sums = np.empty((*tiles, JUDGE.shapes["sums"][2]), np.float32)
     JUDGE.rows(0, tiles[0], *inputs.values(), sums)
     assert_same(by_cuda(JUDGE, inputs, {"sums": sums.shape}), {"sums": sums})

@@ -40,7 +40,7 @@ def run(frames: list[Frame], device: Device, **options) -> list[np.ndarray]:
 @pytest.fixture
 def network_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The result as it leaves the network."""
-    monkeypatch.setattr(planes.Restore, "encode", lambda self, commands, frame, denoised: denoised)
+    monkeypatch.setattr(planes.Restore, "encode", lambda self, commands, frame, denoised, *_: denoised)
 
 
 def quality(picture: np.ndarray) -> float:
@@ -62,12 +62,14 @@ def test_a_clean_picture_comes_back(device: Device) -> None:
     np.testing.assert_allclose(run([frame(0)], device)[0], PICTURE, rtol=1e-4)
 
 
-def judged(removed: np.ndarray) -> np.ndarray:
-    """Share of detail in a difference on mid grey, tile by tile."""
+def judged(removed: np.ndarray, only: np.ndarray | None = None) -> np.ndarray:
+    """Share of detail in a difference on mid grey, tile by tile, of which `only` some are judged."""
     grey = np.full((*removed.shape, 3), 0.5, np.float32)
     tiles = [-(-side // 16) for side in removed.shape]
     sums, detail = np.empty((*tiles, SUMS), np.float32), np.empty((*tiles, 1), np.float32)
-    JUDGE.rows(0, tiles[0], grey + removed.astype(np.float32)[..., None], grey, np.ones(5, np.float32), sums)
+    counted = np.ones((*tiles, 1), np.float32) if only is None else only[..., None].astype(np.float32)
+    noisy = grey + removed.astype(np.float32)[..., None]
+    JUDGE.rows(0, tiles[0], noisy, grey, np.ones(5, np.float32), counted, sums)
     DETAIL.rows(0, tiles[0], sums, np.ones(1, np.float32), detail)
     return detail[..., 0]
 
@@ -82,12 +84,38 @@ def test_noise_is_white_detail_is_not_and_the_faint_is_harmless() -> None:
     assert both[:, :3].max() < 0.2 and both[:, -1].min() > 0.9
 
 
+def test_tiles_that_are_not_judged_count_for_nothing() -> None:
+    """Whatever is there, values that are not numbers too."""
+    noise = np.random.default_rng(0).normal(0, 0.05, (80, 96))
+    only = np.zeros((5, 6), bool)
+    only[1:3, 1:4] = True
+    other = np.where(np.kron(only, np.ones((16, 16))) > 0, noise, np.nan)
+    waves = np.where(np.isnan(other), 0.05 * np.sin(np.arange(96) / 2), noise)
+    found = judged(other, only)
+    np.testing.assert_array_equal(judged(waves, only), found)
+    assert np.isfinite(found).all() and found[only].max() < 0.1 < judged(waves)[only].max()
+    assert np.isfinite(judged(noise, only & False)).all()
+
+
+def test_only_what_has_strength_tells_whether_a_picture_is_clean(device: Device) -> None:
+    """Noise beside it does not, and no network runs there."""
+    given = frame(0)
+    given[Role.COLOUR][:48] = frame(4)[Role.COLOUR][:48]
+    whole = run([given], device, model="s.fp32")[0]
+    given.planes[Role.STRENGTH] = np.zeros((HEIGHT, WIDTH, 1), np.float32)
+    given.planes[Role.STRENGTH][48:] = 1
+    found = run([given], device, model="s.fp32")[0]
+    np.testing.assert_array_equal(found[:48], given[Role.COLOUR][:48])
+    np.testing.assert_allclose(found[48:], PICTURE[48:], rtol=1e-4)
+    assert np.abs(whole[51:] - PICTURE[51:]).max() > 0.02
+
+
 def test_the_next_frame_sees_what_the_network_made(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = [frame(64, 1, number=1), frame(64, 2, number=2)]
     restored = run(frames, device)
     encode, turns = planes.Restore.encode, iter([False, True])
     monkeypatch.setattr(planes.Restore, "encode",
-                        lambda *given: encode(*given) if next(turns) else given[-1])
+                        lambda *given: encode(*given) if next(turns) else given[3])
     plain_first = run(frames, device)
     assert np.abs(restored[0] - plain_first[0]).max() > 1e-2
     np.testing.assert_array_equal(restored[1], plain_first[1])

@@ -12,6 +12,8 @@ from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.masks import Threshold, strength_of_converged
 from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise.frame import Frames
+from postfx.passes.denoise.planes import Restore
 from postfx.passes.denoise.tiling import (
     CELL,
     COARSE,
@@ -219,6 +221,43 @@ def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool, 
         assert active.sum() > 1000 and error[active].max() < 1e-3
         np.testing.assert_array_equal(found[without], resampled(part, Role.COLOUR, scale)[without])
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
+
+
+@pytest.mark.parametrize("mask", MASKS.values(), ids=MASKS.keys())
+def test_masked_frames_of_the_render_size(
+    mask: np.ndarray, device: Device, room: list[Frame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files that do not say how many samples they have: detail is given back, by what is seen of tiles with strength,
+    so that windows give what the whole frame gives with the same mask."""
+    frames = [masked(replace(frame, jitter=(0.0, 0.0), samples=None), mask) for frame in room[:2]]
+    assert Restore.acts_on(None, frames[0])
+    tiled = chain(device, scale=1, model="m.fp32")
+    found = [tiled(frame)[Role.COLOUR] for frame in frames]
+    monkeypatch.setattr(Frames, "layout", lambda *_: None)
+    whole = chain(device, scale=1, model="m.fp32")
+    for frame, one in zip(frames, found, strict=True):
+        wanted = whole(frame)[Role.COLOUR]
+        assert np.abs(seen(one, whole.exposure) - seen(wanted, whole.exposure)).max() < 1e-3
+        np.testing.assert_array_equal(one[mask == 0], frame[Role.COLOUR][mask == 0])
+    assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
+    assert not any("strength is 0 there" in item.why for item in whole.explain().skips)
+
+
+def test_masked_alpha_and_parts_of_the_render_size(
+    device: Device, room: list[Frame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mask = MASKS["box"]
+    alpha = np.clip(np.arange(320, dtype=np.float32)[None, :, None] / 320 + np.zeros((180, 1, 1), np.float32), 0, 1)
+    parts = {"half": 0.5 * room[0][Role.COLOUR], "rest": 0.5 * room[0][Role.COLOUR]}
+    frame = masked(replace(room[0], jitter=(0.0, 0.0), samples=None, parts=parts), mask)
+    frame.planes[Role.ALPHA] = alpha
+    tiled = chain(device, scale=1, model="m.fp32", parts=list(parts))(frame)
+    monkeypatch.setattr(Frames, "layout", lambda *_: None)
+    whole = chain(device, scale=1, model="m.fp32", parts=list(parts))(frame)
+    layers = zip(tiled.parts.values(), whole.parts.values(), strict=True)
+    for one, other in ((tiled[Role.ALPHA], whole[Role.ALPHA]), *layers):
+        np.testing.assert_allclose(one, other, atol=2e-3, rtol=2e-3)
+    np.testing.assert_allclose(sum(tiled.parts.values()), tiled[Role.COLOUR], atol=1e-5, rtol=1e-4)
 
 
 def test_a_mask_that_moves_never_shows_what_is_not_there(device: Device) -> None:

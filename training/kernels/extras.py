@@ -214,9 +214,10 @@ TINY = 1e-12
 
 
 class Judge(nn.Module):
-    """colour, denoised (h, w, 3), params -> sums (tiles_high, tiles_wide, 11): pixels, power, held power, products."""
+    """colour, denoised (h, w, 3), params, judged (tiles_high, tiles_wide, 1) -> sums (tiles_high, tiles_wide, 11):
+    pixels, power, held power, products; 0 where a tile is not judged."""
 
-    def forward(self, colour: Tensor, denoised: Tensor, params: Tensor) -> Tensor:
+    def forward(self, colour: Tensor, denoised: Tensor, params: Tensor, judged: Tensor) -> Tensor:
         clean = light(denoised, params)
         seen = clean.clamp(min=DARK)
         slope = 0.5 / (torch.sqrt(seen * (1 + seen)) * (1 + seen))
@@ -230,7 +231,8 @@ class Judge(nn.Module):
             here = held[:, :TILE - dy, :, max(0, -dx):TILE - max(0, dx)]
             there = held[:, dy:, :, max(0, dx):TILE + min(0, dx)]
             products.append((here * there).sum((1, 3)) * (TILE**2 / ((TILE - dy) * (TILE - abs(dx)))))
-        return torch.stack((count, power, held.square().sum((1, 3)), *products), -1)
+        sums = torch.stack((count, power, held.square().sum((1, 3)), *products), -1)
+        return torch.where(judged > 0, sums, torch.zeros_like(sums))
 
 
 class Detail(nn.Module):
@@ -238,14 +240,15 @@ class Detail(nn.Module):
 
     def forward(self, sums: Tensor, evidence: Tensor) -> Tensor:
         spread = binomial(binomial(sums, 0), 1)
-        power = spread[..., POWER] / spread[..., COUNT]
+        count = spread[..., COUNT].clamp(min=1)  # 0 if nothing around is judged
+        power = spread[..., POWER] / count
         weight = torch.sqrt(power) * sums[..., COUNT]
         total = weight.sum().clamp(min=TINY)
         found = spread[..., FIRST:] / (spread[..., HELD_POWER:FIRST] + TINY)
         common = F.pad((found * weight[..., None]).sum((0, 1))[:NEAR].clamp(min=0) / total, (0, len(LAGS) - NEAR))
-        mean = sums[..., POWER].sum() / sums[..., COUNT].sum()
+        mean = sums[..., POWER].sum() / sums[..., COUNT].sum().clamp(min=1)
         filtered = ramp(torch.log(mean + TINY), math.log(FILTERED[0]), math.log(FILTERED[1]))
-        structure = (found - filtered * common).square().sum(-1) - SPREAD_NOISE * len(LAGS) / spread[..., COUNT]
+        structure = (found - filtered * common).square().sum(-1) - SPREAD_NOISE * len(LAGS) / count
         faint = ramp(-torch.log(power + TINY), -math.log(INVISIBLE[1]), -math.log(INVISIBLE[0]))
         quiet = ramp(-torch.log(mean + TINY), -math.log(LOUD[1]), -math.log(LOUD[0])) * evidence.clamp(max=1)
         own = torch.maximum(ramp(torch.sqrt(structure.clamp(min=0)), *STRUCTURE), faint) * quiet

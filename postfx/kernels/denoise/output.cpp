@@ -74,8 +74,17 @@ FN void sum_tiles(const float* total, Long width, Lag lag, Long tiles, float* su
     }
 }
 
-// Sums over the removed part of each tile.
-static Status judge_rows(Long first, Long last, Picture colour, Picture denoised, Places params, NewPicture sums) {
+// Whether any tile of a row is judged.
+FN bool has_judged(const Picture& judged, Long row) {
+    for (Long column = 0; column < judged.size[1]; column++) {
+        if (*judged(row, column) > 0.0f) return true;
+    }
+    return false;
+}
+
+// Sums over the removed part of each tile; all are 0 where a tile is not judged.
+static Status judge_rows(Long first, Long last, Picture colour, Picture denoised, Places params, Picture judged,
+                         NewPicture sums) {
     const Long h = colour.size[0], w = colour.size[1], tiles = sums.size[1];
     const Room<float> room((TILE + 1) * w);
     if (!room) return NO_MEMORY;
@@ -84,6 +93,10 @@ static Status judge_rows(Long first, Long last, Picture colour, Picture denoised
     for (Long row = first; row < last; row++) {
         const Removed removed = {room.at, smaller<Long>(TILE, h - row * TILE), w};
         float* found = sums(row);
+        if (!has_judged(judged, row)) {
+            for (Long i = 0; i < tiles * SUMS; i++) found[i] = 0.0f;
+            continue;
+        }
         fill_removed(colour, denoised, row * TILE, params.at[0], removed, room.at);
         multiply_rows(removed, {0, 0}, total);
         sum_tiles(total, w, {0, 0}, tiles, found + POWER);
@@ -103,6 +116,10 @@ static Status judge_rows(Long first, Long last, Picture colour, Picture denoised
         for (int k = 0; k < LAGS; k++) {
             multiply_rows(removed, LAG[k], total);
             sum_tiles(total, w, LAG[k], tiles, found + FIRST + k);
+        }
+        for (Long column = 0; column < tiles; column++) {
+            if (*judged(row, column) > 0.0f) continue;
+            for (int k = 0; k < SUMS; k++) found[column * SUMS + k] = 0.0f;
         }
     }
     return DONE;
@@ -133,7 +150,8 @@ FN Around gather_tile(const Picture& sums, Long y, Long x) {
             for (int k = 0; k < SUMS; k++) spread[k] += weight * sums(j, i)[k];
         }
     }
-    Around found = {spread[POWER] / spread[COUNT], SPREAD_NOISE * LAGS / spread[COUNT], {}};
+    const float count = larger<float>(spread[COUNT], 1.0f);  // 0 if nothing around is judged
+    Around found = {spread[POWER] / count, SPREAD_NOISE * LAGS / count, {}};
     for (int k = 0; k < LAGS; k++) found.correlation[k] = spread[FIRST + k] / (spread[HELD_POWER] + TINY_POWER);
     return found;
 }
@@ -167,7 +185,7 @@ static Status detail_rows(Long first, Long last, Picture sums, Places evidence, 
         pixels += own[COUNT];
         for (int k = 0; k < NEAR; k++) correlations[k] += weights.at[i] * tiles.at[i].correlation[k];
     }
-    const float loud = log_of<float>(float(all / pixels) + TINY_POWER);
+    const float loud = log_of<float>(float(all / larger<double>(pixels, 1.0)) + TINY_POWER);
     const float quiet = QUIET.at(-loud) * smaller<float>(*evidence.at, 1.0f);
     float common[NEAR];
     for (int k = 0; k < NEAR; k++) {

@@ -1,5 +1,6 @@
-// Sums over what was removed in tiles of 16x16: colour, denoised (h, w, 3), params (4,) -> sums (tiles_high,
-// tiles_wide, 11): pixels, power, power once held, products at 8 lags. Blocks stride over rows of 8 tiles.
+// Sums over what was removed in tiles of 16x16: colour, denoised (h, w, 3), params (4,), judged (tiles_high, tiles_wide,
+// 1) -> sums (tiles_high, tiles_wide, 11): pixels, power, power once held, products at 8 lags; all are 0 where a tile is
+// not judged. Blocks stride over rows of 8 tiles.
 const int GROUP = 8, LAGS = SUMS - FIRST;
 const int PITCH = TILE + 1;  // rows begin in different banks
 
@@ -69,7 +70,7 @@ __device__ inline float sum_of_rows(const float* rows) {
     return sum;
 }
 
-extern "C" __global__ void denoise_judge(View colour, View denoised, View params, View sums) {
+extern "C" __global__ void denoise_judge(View colour, View denoised, View params, View judged, View sums) {
     __shared__ float removed[GROUP][TILE * PITCH], power[GROUP][PITCH], rows[GROUP][1 + LAGS][PITCH];
     const int h = colour.size[0], w = colour.size[1], tiles_wide = sums.size[1];
     const int groups_wide = (tiles_wide + GROUP - 1) / GROUP, groups = groups_wide * sums.size[0];
@@ -81,8 +82,9 @@ extern "C" __global__ void denoise_judge(View colour, View denoised, View params
         for (int i = thread; i < TILE * TILE * GROUP; i += threads) {
             const int column = i % (TILE * GROUP), row = i / (TILE * GROUP);
             const int y = tile_y * TILE + row, x = tile_x * TILE + column, at = 3 * (y * w + x);
+            const bool counts = y < h && x < w && judged.at[tile_y * tiles_wide + x / TILE] > 0.0f;
             removed[column / TILE][row * PITCH + column % TILE] =
-                y < h && x < w ? removed_at(colour.at + at, denoised.at + at, exposure) : 0.0f;
+                counts ? removed_at(colour.at + at, denoised.at + at, exposure) : 0.0f;
         }
         __syncthreads();
         for (int i = thread; i < GROUP * TILE; i += threads) {
@@ -104,7 +106,7 @@ extern "C" __global__ void denoise_judge(View colour, View denoised, View params
             for (int k = 0; k <= LAGS; k++) rows[tile][k][row] = found[k];
             if (row > 0) continue;
             float* const result = sums.at + (tile_y * tiles_wide + tile_x + tile) * SUMS;
-            result[COUNT] = count;
+            result[COUNT] = judged.at[tile_y * tiles_wide + tile_x + tile] > 0.0f ? count : 0.0f;
             result[POWER] = all;
         }
         __syncthreads();
@@ -150,7 +152,8 @@ __device__ inline Tile gather(const float* tile) {
         spread[k] = 4.0f * at[0] + 2.0f * (at[-SUMS] + at[SUMS] + at[-AREA_PITCH] + at[AREA_PITCH])
             + (at[-AREA_PITCH - SUMS] + at[-AREA_PITCH + SUMS] + at[AREA_PITCH - SUMS] + at[AREA_PITCH + SUMS]);
     }
-    Tile found = {spread[POWER] / spread[COUNT], SPREAD_NOISE * LAGS / spread[COUNT], {}};
+    const float count = fmaxf(spread[COUNT], 1.0f);  // 0 if nothing around is judged
+    Tile found = {spread[POWER] / count, SPREAD_NOISE * LAGS / count, {}};
     const float scale = 1.0f / (spread[HELD_POWER] + TINY_POWER);
 #pragma unroll
     for (int k = 0; k < LAGS; k++) found.correlation[k] = spread[FIRST + k] * scale;
@@ -205,7 +208,7 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS) denoise_detail(View s
     }
 #pragma unroll
     for (int k = 0; k < TOTALS; k++) totals[k] = block_sum(totals[k], partial, thread, threads);
-    const float power = totals[0] / totals[1], total = totals[2] + TINY_POWER, loud = logf(power + TINY_POWER);
+    const float power = totals[0] / fmaxf(totals[1], 1.0f), total = totals[2] + TINY_POWER, loud = logf(power + TINY_POWER);
     const float filtered = ramp(loud, logf(FILTERED_LOW), logf(FILTERED_HIGH));
     const float quiet = ramp(-loud, -logf(LOUD_HIGH), -logf(LOUD_LOW)) * fminf(evidence.at[0], 1.0f);
     float common[NEAR], share = 0.0f;

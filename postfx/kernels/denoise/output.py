@@ -4,7 +4,8 @@ Detail: the removed part, input minus result, looks alike everywhere if it was n
 detail. So the kernels judge tiles of the picture: by correlations of the difference between near pixels, less those of
 the whole frame, because a renderer's filter may spread samples over several pixels; by correlations between far pixels,
 which no filter reaches; and by its size, because barely visible differences do no harm. If most of the removed part is
-detail, the whole frame counts as clean. Only for results of the input's size with samples spread over the pixel.
+detail, the whole frame counts as clean. Only for results of the input's size with samples spread over the pixel. Tiles
+where ``judged`` is 0 are not looked at, and count for nothing.
 
 Tiles: each row of ``places`` (n, 10) describes one of ``tiles`` (n, th, tw, channels) in rows and columns of the frame:
 its first pixel (2), the area that may be used (4), and the area to use before all other tiles (4); areas are top, left,
@@ -36,8 +37,8 @@ SPREAD_NOISE = 2.25  # squares of the weights 1 2 1 by 1 2 1, summed, over their
 TINY_POWER = np.float32(1e-12)
 
 IMAGE, TILES = PLANES["colour"], ("tiles_high", "tiles_wide")
-JUDGE = kernel("judge", ("colour", "denoised", "params"), ("sums",), None, ("sums", 0),
-               denoised=IMAGE, sums=(*TILES, SUMS))
+JUDGE = kernel("judge", ("colour", "denoised", "params", "judged"), ("sums",), None, ("sums", 0),
+               denoised=IMAGE, judged=(*TILES, 1), sums=(*TILES, SUMS))
 DETAIL = kernel("detail", ("sums", "evidence"), ("detail",), None, ("detail", 0), sums=(*TILES, SUMS),
                 evidence=(1,), detail=(*TILES, 1))
 ANY = (*IMAGE[:2], "channels")

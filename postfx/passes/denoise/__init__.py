@@ -41,7 +41,7 @@ from postfx.passes.denoise.models import (
 from postfx.passes.denoise.options import Size, output_size, parse_reactive, validate_scale, validate_size
 from postfx.passes.denoise.parts import checked_parts
 from postfx.passes.denoise.planes import ABSENT, MIRRORED, passthrough_roles
-from postfx.passes.denoise.tiling import Sizes, active_cells
+from postfx.passes.denoise.tiling import Sizes, active_cells, whole_tiles
 from postfx.repeats import ONE_SEED, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
@@ -361,7 +361,7 @@ class DenoiseUpscale(Pass):
             own_still = still and own_params[GAIN] == params[GAIN]
             ready.own[name].encode(commands, seen, own_params, keep, own_still, band, (), {"output": output})
         self._fresh, self._exposure = not frame.unusable, frame.exposure
-        colour = ready.restore.encode(commands, frame, colour) if ready.restore else colour
+        colour = ready.restore.encode(commands, frame, colour, rows, cells) if ready.restore else colour
         if ready.strength:
             colour = ready.strength.encode(commands, frame, colour, rows, savings.note_unblended)
         if filtered:
@@ -378,12 +378,13 @@ class DenoiseUpscale(Pass):
             ready.wider.widen(commands, frame)
 
     def _active(self, frame: ResidentFrame, ready: ReadyNetwork) -> np.ndarray | None:
-        """Where the frame's strength is not 0, as squares of 4 pixels; None if that is unknown, or if the whole frame
-        is judged."""
-        restore = ready.restore
-        if Role.STRENGTH not in frame.host_planes or (restore and restore.acts_on(frame)):
+        """Where the frame's strength is not 0, as squares of 4 pixels, or as tiles if these are judged; None if that
+        is unknown."""
+        if Role.STRENGTH not in frame.host_planes:
             return None
-        return active_cells(frame.host_planes[Role.STRENGTH])
+        cells = active_cells(frame.host_planes[Role.STRENGTH])
+        judges = ready.restore and ready.restore.acts_on(frame)
+        return whole_tiles(cells) if judges else cells
 
     def _is_repeated(self, frame: ResidentFrame) -> bool:
         """Whether a frame's noise is that of the frame before. Not looked for where frames come on a GPU."""

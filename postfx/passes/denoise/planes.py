@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
-from postfx.kernels import Kernel
 from postfx.kernels.denoise import FARTHEST, NEAR_CELL, kernel
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.history import REACTIVE
@@ -23,7 +22,7 @@ from postfx.kernels.statistics import bounds_of_cells, coverage_noise
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.history import LayerHistory
 from postfx.passes.denoise.options import ReactiveOption, Size
-from postfx.passes.denoise.tiling import Rows, full_rows, rows_of
+from postfx.passes.denoise.tiling import Rows, full_rows, rows_of, tiles_with
 from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
 from postfx.sampling import three_by_three
 
@@ -301,6 +300,7 @@ class Reactive:
 
 
 FEW, MANY, MOST = 16, 64, 96
+PER_TILE = "judged", "sums", "detail"
 
 
 class Restore:
@@ -313,26 +313,33 @@ class Restore:
         tiles = -(-size.height // TILE), -(-size.width // TILE)
         self._params, self._evidence = new("restore params", (4,)), new("evidence", (1,))
         self._output = between("restored", (*size, 3))
+        self._judged, self._tiles = new("judged", (*tiles, 1)), tiles
+        self._rows, self._known = (0, size.height), np.zeros(tiles, bool)  # what 'judged' holds
         self._tensors = {"params": self._params, "evidence": self._evidence, "sums": between("sums", (*tiles, SUMS)),
+                         "judged": self._judged,
                          "detail": between("detail", (*tiles, 1)), "output": self._output}
-        self._tables = [self._table(device, kernel) for kernel in (JUDGE, DETAIL, RESTORE)]
+        self._tables = [ArgumentTable(device.compute_state(kernel)) for kernel in (JUDGE, DETAIL, RESTORE)]
 
     def acts_on(self, frame: ResidentFrame) -> bool:
         """Whether a frame may get detail back."""
         return frame.jitter == (0.0, 0.0) and (frame.samples or MANY) > FEW
 
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor) -> Tensor:
-        """Record the work on the frame's own colour and the denoised one; returns the colour."""
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, denoised: Tensor, rows: Rows,
+               cells: np.ndarray | None = None) -> Tensor:
+        """Record the work on the frame's own colour and the denoised one in `rows`, of which tiles with active `cells`
+        are judged, without cells all; returns the colour."""
         if not self.acts_on(frame):
             return denoised
+        self._rows = rows
+        self._judge_only(np.ones(self._tiles, bool) if cells is None else tiles_with(cells))
         self._params.upload([frame.exposure, 0.0, 0.0, 0.0])
         self._evidence.upload([min(frame.samples or MANY, MOST) / MANY])
         planes = {"colour": frame[Role.COLOUR], "denoised": denoised}
         with commands.compute_encoder("restore") as encoder:
             encoder.barrier(after="compute", before="compute")
             for table in self._tables:
-                for name in planes.keys() & {binding.name for binding in table.state.bindings}:
-                    table[name] = planes[name]
+                for name in {binding.name for binding in table.state.bindings}:
+                    table[name] = self._part_of(name, planes.get(name) or self._tensors[name])
                 encoder.dispatch(table.state, table)
                 encoder.barrier()
         return self._output
@@ -341,15 +348,24 @@ class Restore:
         """Record the same work on a part of the picture, after the picture itself: the part gets back the same
         share."""
         tensors = {"colour": noisy, "denoised": denoised, "detail": self._tensors["detail"], "output": output}
-        table = ArgumentTable(self._device.compute_state(RESTORE), tensors)
+        table = ArgumentTable(self._device.compute_state(RESTORE), {
+            name: self._part_of(name, tensor) for name, tensor in tensors.items()})
         with commands.compute_encoder("restore") as encoder:
             encoder.barrier(after="compute", before="compute")
             encoder.dispatch(table.state, table)
         return output
 
-    def _table(self, device: Device, kernel: Kernel) -> ArgumentTable:
-        names = kernel.reads + kernel.writes
-        return ArgumentTable(device.compute_state(kernel), {k: v for k, v in self._tensors.items() if k in names})
+    def _judge_only(self, tiles: np.ndarray) -> None:
+        if not np.array_equal(tiles, self._known):
+            self._known = tiles
+            self._judged.upload(tiles[..., None].astype(np.float32))
+
+    def _part_of(self, name: str, tensor: Tensor) -> Tensor:
+        """The frame's rows of a tensor, or the rows of tiles that these are in."""
+        first, end = self._rows
+        if name in ("colour", "denoised", "output"):
+            return rows_of(tensor, self._rows)
+        return rows_of(tensor, (first // TILE, -(-end // TILE))) if name in PER_TILE else tensor
 
 
 FEW_SAMPLES, DRIFT, SETTLED, LONGEST, RANDOM, SHARPER, BY_COLOUR = 4, 1 / 32, 6, 16, 1 / 48, 0.4, 0.5

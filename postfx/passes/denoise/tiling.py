@@ -234,6 +234,17 @@ def active_cells(strength: np.ndarray) -> np.ndarray:
     return mask
 
 
+def whole_tiles(cells: np.ndarray) -> np.ndarray:
+    """Squares of 4 pixels, all active in tiles of 16 where any is."""
+    tiles = tiles_with(cells).repeat(COARSE, 0).repeat(COARSE, 1)
+    return tiles[:cells.shape[0], :cells.shape[1]]
+
+
+def tiles_with(cells: np.ndarray) -> np.ndarray:
+    """Which tiles of 16 pixels have active squares: (rows, columns) of bool."""
+    return _grouped(_grouped(cells, COARSE).T, COARSE).T
+
+
 def active_rows(cells: np.ndarray, h: int) -> Rows:
     """The rows of a frame's pixels from the first active square to the last; there is one."""
     found = np.flatnonzero(cells.any(1))
@@ -260,7 +271,7 @@ def _grouped(mask: np.ndarray, step: int) -> np.ndarray:
 
 def boxes_of(cells: np.ndarray) -> Iterator[list[Box]]:
     """One box around all active cells, then two, three and more, as long as that leaves cells out; in pixels."""
-    coarse = _grouped(_grouped(cells, COARSE).T, COARSE).T
+    coarse = tiles_with(cells)
     boxes = [_trimmed(coarse, Box(0, 0, *coarse.shape))]
     while True:
         yield [_in_pixels(cells, box) for box in boxes]
