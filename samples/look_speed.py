@@ -22,7 +22,7 @@ from postfx.passes.display import View
 from postfx.runtime import Device
 
 LOOKS = {
-    **{name: partial(postfx.ToneMap, tag=name) for name in ("aces2", "agx", "pbr_neutral", "local", "auto")},
+    **{name: partial(postfx.ToneMap, look=name) for name in ("aces2", "agx", "pbr_neutral", "local", "auto")},
     "ocio:, exact": partial(View, view="ocio:"),
     "ocio:, --fast-look": partial(View, view="ocio:", exact=False),
 }

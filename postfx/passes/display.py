@@ -37,7 +37,7 @@ class Display(Pass):
 
     name: ClassVar[str] = "display"
 
-    def __init__(self, *, display: str = "srgb", **unknown: Never) -> None:
+    def __init__(self, display: str = "srgb", **unknown: Never) -> None:
         super().__init__(display=display, **unknown)
         self._target = parse_display(display)
 
@@ -127,7 +127,7 @@ class View(Pass):
 
     name: ClassVar[str] = "view"
 
-    def __init__(self, *, view: str = "neutral", display: str = "srgb", exact: bool = True, **unknown: Never) -> None:
+    def __init__(self, view: str = "neutral", *, display: str = "srgb", exact: bool = True, **unknown: Never) -> None:
         super().__init__(view=view, display=display, exact=exact, **unknown)
         self._view, self._exact = find_view(view, parse_display(display)), bool(exact)
         self._view.apply(np.zeros((1, 3)))  # a table is read now, so that a broken one is told before any frame
@@ -214,7 +214,7 @@ def make_display_passes(
         mapper: Pass = view
         made_for = view.output
     else:
-        mapper = create("tonemap", **({"tag": _find_look(tonemap)} if tonemap else {}))
+        mapper = create("tonemap", **({"look": _find_look(tonemap)} if tonemap else {}))
         made_for = "srgb"
     return [mapper] + ([create("display", display=shown_on)] if made_for != shown_on else []), []
 
