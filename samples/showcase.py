@@ -5,13 +5,12 @@
 FOLDER holds noisy.####.exr and reference.####.exr, as `training/measure/validation/showcase.py` renders them. The last
 frame that has a reference is shown and measured; a larger reference is averaged to the frame's size. Writes
 OUT/NAME.jpg, the video OUT/NAME.webp, and for the gallery's sliders OUT/NAME_noisy.jpg, NAME_oidn.jpg and
-NAME_postfx.jpg. Prints PSNR and FLIP behind the display curve of `postfx bench`, and milliseconds a frame.
+NAME_postfx.jpg. Prints PSNR and FLIP behind the display curve of `postfx bench`.
 """
 from __future__ import annotations
 
 import argparse
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +43,7 @@ def main(argv: list[str]) -> None:
     reference = at_size(references[-1], shot[-1])
     exposure = auto_exposure(reference)
     ways = {"noisy": [], "oidn": [postfx.Oidn()], "postfx": [postfx.DenoiseUpscale(scale=1)]}
-    light = {name: run(passes, shot, exposure) for name, passes in ways.items()}
+    light = {name: run(passes, shot if name != "oidn" else shot[-1:], exposure) for name, passes in ways.items()}
     print(f"{'as rendered':28} {figures(light['noisy'][-1], reference, exposure)}")
     print(f"{'Open Image Denoise':28} {figures(light['oidn'][-1], reference, exposure)}")
     print(f"{'postfx, network m':28} {figures(light['postfx'][-1], reference, exposure)}")
@@ -74,16 +73,8 @@ def at_size(reference: Frame, frame: Frame) -> Frame:
 
 
 def run(passes: list[postfx.Pass], shot: list[Frame], exposure: float) -> list[Frame]:
-    """Frames of a shot after some passes; prints the median time of one."""
-    if not passes:
-        return shot
-    pipeline, found, times = postfx.Pipeline(passes, exposure=exposure), [], []
-    for frame in shot:
-        began = time.perf_counter()
-        found.append(pipeline(frame))
-        times.append(1e3 * (time.perf_counter() - began))
-    print(f"{passes[0].name:28} {np.median(times):.0f} ms a frame")
-    return found
+    """Frames of a shot after some passes."""
+    return list(map(postfx.Pipeline(passes, exposure=exposure), shot)) if passes else shot
 
 
 def auto_exposure(frame: Frame) -> float:
