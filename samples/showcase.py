@@ -1,6 +1,6 @@
 """The README's and the gallery's product shot: a full frame before and after, crops beside OIDN, a video, and figures.
 
-    python samples/showcase.py FOLDER OUT [--name showcase] [--places 300,95 540,190] [--side 100]
+    python samples/showcase.py FOLDER OUT [--name showcase] [--places 310,105 490,70] [--side 79]
 
 FOLDER holds noisy.####.exr and reference.####.exr, as `training/measure/validation/showcase.py` renders them. The last
 frame that has a reference is shown and measured; a larger reference is averaged to the frame's size. Writes
@@ -32,9 +32,9 @@ def main(argv: list[str]) -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--name", default="showcase")
-    parser.add_argument("--places", nargs="+", type=place, default=[(300, 95), (540, 190)],
+    parser.add_argument("--places", nargs="+", type=place, default=[(310, 105), (490, 70)],
                         help="left upper corners of the enlarged crops, in pixels")
-    parser.add_argument("--side", type=int, default=100, help="pixels along a side of the crops")
+    parser.add_argument("--side", type=int, default=79, help="pixels along a side of the crops")
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
     references = list(postfx.read_sequence(args.folder / "reference.####.exr"))
