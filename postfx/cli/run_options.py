@@ -91,9 +91,9 @@ FILES_WRITTEN = Section("files that are written", (
            help="bits of a channel. EXR: 16 (half floats, default) or 32 (floats, default with --aov-denoise depth or "
            "position); PNG: 8 (default) or 16 (default in HDR); TIFF: 8 or 16 (default)"),
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
-           help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab (also with a "
-           "level as dwaa:45), htj2k256, htj2k32, lj2k or zstd. pxr24, those from b44 to dwab and lj2k lose a little; "
-           "few programs read the last four yet (default: zip, the fastest of those that shrink files)"),
+           help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab, htj2k256, htj2k32, "
+           "lj2k or zstd. dwaa and dwab also have a level, as dwaa:45. pxr24, b44, dwa and lj2k lose a little. Few "
+           "programs read the last four yet (default: zip, the fastest of those that shrink files)"),
 ))
 
 
