@@ -92,8 +92,8 @@ FILES_WRITTEN = Section("files that are written", (
            "position); PNG: 8 (default) or 16 (default in HDR); TIFF: 8 or 16 (default)"),
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
            help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab, htj2k256, htj2k32, "
-           "lj2k or zstd. Both kinds of dwa also have a level, as dwaa:45. Those that lose a little: pxr24, b44, dwa, lj2k. "
-           "Few programs read the last four yet (default: zip, the fastest of those that shrink files)"),
+           "lj2k or zstd. Both kinds of dwa also have a level, as dwaa:45. Those that lose a little: pxr24, b44, dwa, "
+           "lj2k. Few programs read the last four yet (default: zip, the fastest of those that shrink files)"),
 ))
 
 
