@@ -9,12 +9,11 @@ THREE := build/npm/node_modules/three
 
 .PHONY: demo test windows docs page release lint blender clean
 
-# Denoise, upscale and tone-map the sample sequence. Installs postfx without torch.
-demo: $(VENV)/installed
-	$(BIN)/postfx run samples/room/noisy.####.exr -o $(OUT)/clean.####.exr --scale 2 --overwrite
-	$(BIN)/postfx run $(OUT)/clean.####.exr -o $(OUT)/picture.####.png --no-denoise --overwrite
-	$(BIN)/python samples/before_after.py $(OUT)/before_after.png
-	@echo "Look at $(OUT): before_after.png, picture.*.png (tone-mapped), clean.*.exr (scene-linear); all twice as large."
+# The sample sequence: pictures, a video and a page that shows them. Installs postfx without torch.
+demo:
+	@test -e $(VENV)/installed || echo "1 of 4  install into $(VENV): a minute or two, by your network ..."
+	@$(MAKE) --no-print-directory $(VENV)/installed
+	@$(BIN)/python samples/demo.py $(OUT)
 
 # Tests start a hundred processes: without kept bytecode each would compile all sources anew.
 test: export PYTHONDONTWRITEBYTECODE =

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -14,8 +13,8 @@ import numpy as np
 
 from postfx.caching import LRUCache, SpareMemory
 from postfx.cuts import CutDetector
-from postfx.errors import CutError, ExposureError, FrameError, PassContractError, PassOptionError
-from postfx.exposure import ExposureMeter, SmoothExposure
+from postfx.errors import CutError, FrameError, PassContractError, PassOptionError
+from postfx.exposure import ExposureMeter, SmoothExposure, factor_of
 from postfx.frame import GUIDE_ROLES, LOG, Frame, FrameSpec, Role
 from postfx.kernels.statistics import lend
 from postfx.passes import MOST_SIZES, Downloads, Pass, ResidentFrame, share_planes, spec_of
@@ -206,8 +205,8 @@ class Pipeline:
     def on_device(
         self,
         planes: Mapping[Role | str, Any],
-        exposure: float | None = None,
         *,
+        exposure: float | None = None,
         guides: Mapping[Role | str, Any] | None = None,
         number: int = 1,
         jitter: tuple[float, float] = (0.0, 0.0),
@@ -231,11 +230,11 @@ class Pipeline:
         Args:
             planes, guides: role -> (height, width, channels) float32 without gaps, of any library with DLPack or CUDA's
                 array interface. What is in the host's memory is uploaded.
-            exposure: multiplier; None to have the pipeline's meter look at a copy of the colour.
+            exposure: stops; None to have the pipeline's meter look at a copy of the colour.
             number, jitter, guide_jitter, reset, samples, world_to_camera, fov_x, encoding: as in `Frame`.
 
         Raises FrameError for planes that do not fit together, BindingError for arrays that cannot be read,
-        ExposureError for a multiplier that is not above 0.
+        ExposureError for stops that are not a number within -64..64.
         """
         try:
             lent, lent_guides = self._lent
@@ -262,9 +261,7 @@ class Pipeline:
 
     def _exposure_of(self, given: float | None, tensors: Mapping[Role, Tensor], number: int, reset: bool) -> float:
         if given is not None:
-            if not 0 < given < math.inf:
-                raise ExposureError(f"exposure {given}: a multiplier is above 0")
-            return float(given)
+            return factor_of(given)
         if Role.COLOUR not in tensors:
             return 1.0
         return self._meter(Frame({Role.COLOUR: tensors[Role.COLOUR].download()}, number, reset=reset))

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
 
+from postfx.errors import FrameError
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
@@ -25,8 +28,9 @@ class SupportsDLPack(Protocol):
 
 
 def denoise(
-    color: SupportsDLPack,
+    color: SupportsDLPack | None = None,
     *,
+    colour: SupportsDLPack | None = None,
     albedo: SupportsDLPack | None = None,
     specular_albedo: SupportsDLPack | None = None,
     normal: SupportsDLPack | None = None,
@@ -37,40 +41,73 @@ def denoise(
     strength: float = 1.0,
     exposure: str | float = "auto",
     device: str | None = None,
-) -> np.ndarray:
+) -> Any:
     """Denoise one picture, and enlarge it by `scale`.
 
-    The arrays are of any library with DLPack and in the host's memory; meanings, units and ranges are those of
-    `postfx.ROLES`. Each picture is denoised alone: for sequences, in which the frames before help, there is
-    `postfx.Pipeline`. Networks stay loaded between calls with the same options. Calls from several threads take turns.
+    The arrays are of any library with DLPack; meanings, units and ranges are those of `postfx.ROLES`. Each picture is
+    denoised alone: for sequences, in which the frames before help, there is `postfx.Pipeline`. Networks stay loaded
+    between calls with the same options. Calls from several threads take turns.
+
+    Where `color` lies on a GPU, as a CUDA tensor, all of it happens there: nothing but the metering's look at the
+    picture goes through the host's memory. All planes are then float32 without gaps, and `color` has three channels.
 
     Args:
-        color: (height, width, 3) scene-linear radiance, or with alpha (height, width, 4), premultiplied.
+        color, colour: (height, width, 3) scene-linear radiance, or with alpha (height, width, 4), premultiplied. Either
+            spelling.
         albedo, specular_albedo: (height, width, 3) reflectance.
         normal: (height, width, 3) in world space.
         roughness: (height, width) or (height, width, 1).
         depth: likewise, along the view axis.
         scale, model, strength: as for `postfx.DenoiseUpscale`.
         exposure: 'auto', or stops: what the picture is exposed by before the network sees it; the result is not.
-        device: 'cpu', 'cuda', 'cuda:1' or 'auto'; None for the default device.
+        device: 'cpu', 'cuda', 'cuda:1' or 'auto'; None for the default device, or the GPU where `color` lies.
 
     Returns a float32 array (scale * height, scale * width, 3), or 4 where there is alpha; other libraries take it
-    without a copy, as in `torch.from_dlpack(result)`.
+    without a copy, as in `torch.from_dlpack(result)`. For a `color` on a GPU it is an array there, of the library of
+    `color` if that has `from_dlpack`, else a `postfx.Tensor`.
 
     Raises FrameError for arrays that do not fit together, and other `postfx.PostfxError`s for options that cannot be.
     """
-    picture = host_floats(color, "color")
-    has_alpha = picture.ndim == 3 and picture.shape[2] == 4
-    given = {Role.COLOUR: picture[..., :3] if has_alpha else picture,
-             Role.ALPHA: picture[..., 3:] if has_alpha else None,
-             Role.DIFFUSE_ALBEDO: albedo, Role.SPECULAR_ALBEDO: specular_albedo, Role.NORMAL: normal,
-             Role.ROUGHNESS: roughness, Role.DEPTH: depth}
-    planes: dict[Role, Any] = {role: plane for role, plane in given.items() if plane is not None}
+    if (color is None) == (colour is None):
+        raise FrameError("denoise takes one picture: give color, the first argument, or colour")
+    picture = colour if color is None else color
+    aids = {Role.DIFFUSE_ALBEDO: albedo, Role.SPECULAR_ALBEDO: specular_albedo, Role.NORMAL: normal,
+            Role.ROUGHNESS: roughness, Role.DEPTH: depth}
+    planes: dict[Role, Any] = {role: plane for role, plane in aids.items() if plane is not None}
+    gpu = _gpu_of(picture)
+    place = device if gpu is None or device is not None else f"cuda:{gpu}"
     with _ONE_AT_A_TIME:
-        pipeline = _pipeline(scale, model, strength, exposure, device, os.getpid())
+        pipeline = _pipeline(scale, model, strength, exposure, place, os.getpid())
         pipeline.reset()
-        result = pipeline(Frame(planes))
-    return np.concatenate([result[Role.COLOUR], result[Role.ALPHA]], -1) if has_alpha else result[Role.COLOUR]
+        return _on_host(pipeline, picture, planes) if gpu is None else _on_gpu(pipeline, picture, planes)
+
+
+def _on_host(pipeline: Pipeline, given: Any, planes: Mapping[Role, Any]) -> np.ndarray:
+    """A picture in the host's memory, of 3 or 4 channels."""
+    picture = host_floats(given, "color")
+    if picture.ndim != 3 or picture.shape[2] != 4:
+        return pipeline(Frame({Role.COLOUR: picture} | dict(planes)))[Role.COLOUR]
+    result = pipeline(Frame({Role.COLOUR: picture[..., :3], Role.ALPHA: picture[..., 3:]} | dict(planes)))
+    return np.concatenate([result[Role.COLOUR], result[Role.ALPHA]], -1)
+
+
+def _on_gpu(pipeline: Pipeline, given: Any, planes: Mapping[Role, Any]) -> Any:
+    """A picture on the pipeline's device; the result lies there, too."""
+    if getattr(given, "shape", (0, 0, 3))[-1] != 3:
+        raise FrameError(f"color is {tuple(given.shape)} on a GPU, where it has three channels: give color[..., :3], "
+                         "and denoise alpha as an array in the host's memory")
+    lent: dict[Role | str, Any] = {Role.COLOUR: given, **{str(role): plane for role, plane in planes.items()}}
+    found = pipeline.on_device(lent, reset=True)[Role.COLOUR]
+    library = sys.modules.get(type(given).__module__.partition(".")[0])
+    return library.from_dlpack(found) if library is not None and hasattr(library, "from_dlpack") else found
+
+
+def _gpu_of(array: Any) -> int | None:
+    """Number of the GPU in whose memory an array lies, None for the host's."""
+    if not hasattr(array, "__dlpack_device__"):
+        return None
+    kind, number = array.__dlpack_device__()
+    return int(number) if int(kind) in _GPU_KINDS else None
 
 
 @lru_cache(maxsize=4)
@@ -82,3 +119,5 @@ def _pipeline(scale: float, model: str, strength: float, exposure: str | float, 
 
 
 _ONE_AT_A_TIME = threading.Lock()
+_GPU_KINDS = (2, 13)
+"""DLPack's numbers of CUDA's memory, and of memory that CUDA manages on both sides."""

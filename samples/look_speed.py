@@ -11,15 +11,21 @@ or dithered.
 import argparse
 import statistics
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 import postfx
 from postfx.io.encode import Dither, quantise
+from postfx.passes.display import View
 from postfx.runtime import Device
 
-LOOKS = ("aces2", "agx", "pbr_neutral", "local", "auto")
+LOOKS = {
+    **{name: partial(postfx.ToneMap, look=name) for name in ("aces2", "agx", "pbr_neutral", "local", "auto")},
+    "ocio:, exact": partial(View, view="ocio:"),
+    "ocio:, --fast-look": partial(View, view="ocio:", exact=False),
+}
 ROOM = Path(__file__).parent / "room" / "reference.####.exr"
 
 
@@ -57,10 +63,10 @@ def main() -> None:
     args = parser.parse_args()
     colour, device = picture(args.height, args.width), Device(args.device, threads=args.threads)
     unmeasured = 2 if device.memory.host_visible else 20
-    for look in LOOKS:
-        chain = postfx.Pipeline([postfx.ToneMap(tag=look)], device)
+    for look, make in LOOKS.items():
+        chain = postfx.Pipeline([make()], device)
         times = [timed(chain, colour, number) for number in range(unmeasured + args.runs)][unmeasured:]
-        print(f"{look:12}", "   ".join(f"{name} {summary([one[name] for one in times])}" for name in times[0]))
+        print(f"{look:18}", "   ".join(f"{name} {summary([one[name] for one in times])}" for name in times[0]))
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ def draw_boards(path: Path) -> None:
     canvas = Canvas(976, 214, PAPER)
     for k, (stops, words) in enumerate(((-1, "too dark by 1 EV"), (0, "right"), (1, "too bright by 1 EV"))):
         tool = registry.create("exposure_tool", reference={1: 1.0})
-        shown = postfx.Pipeline([tool, postfx.ToneMap(tag="aces2")], exposure=stops)
+        shown = postfx.Pipeline([tool, postfx.ToneMap(look="aces2")], exposure=stops)
         frame = shown(Frame({Role.COLOUR: np.zeros((180, 320, 3), np.float32)}, number=1))
         canvas.pixels[:180, 328 * k:328 * k + 320] = 255 * frame[Role.COLOUR]
         canvas.text(328 * k + 160, 197, words, INK, align="center")
@@ -89,7 +89,7 @@ def make_all(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as name, contextlib.chdir(ROOT):  # pages then show short paths
         work = Path(name)
         draw_boards(folder / "board.png")
-        draw_exposure(debug(shots(), [postfx.ToneMap(tag="aces2")], "metadata"), "shot.####.exr: exposure metadata",
+        draw_exposure(debug(shots(), [postfx.ToneMap(look="aces2")], "metadata"), "shot.####.exr: exposure metadata",
                       folder / "curve.png")
         run("exposure", noisy, "--frames", f"1-{FRAME}", "--views", work / "views")
         view = {kind: pixels_of(next((work / "views").glob(f"*{kind}*{FRAME:04d}.png"))) for kind in ("log_c", "zebra")}

@@ -18,8 +18,8 @@ def test_objects_say_what_they_are(write_exr, tmp_path, monkeypatch):
     denoise = postfx.DenoiseUpscale(model="s")
     assert repr(denoise) == "DenoiseUpscale(model='s')" and repr(postfx.ToneMap()) == "ToneMap()"
     device = postfx.Device("cpu", threads=1)
-    pipeline = postfx.Pipeline([denoise, postfx.ToneMap(tag="agx")], device=device)
-    passes = "DenoiseUpscale(model='s'), ToneMap(tag='agx')"
+    pipeline = postfx.Pipeline([denoise, postfx.ToneMap(look="agx")], device=device)
+    passes = "DenoiseUpscale(model='s'), ToneMap(look='agx')"
     assert repr(pipeline) == f"Pipeline([{passes}], device=Device('cpu', threads=1))"
     assert repr(postfx.read_sequence("shot.####.exr")) == "Sequence('shot.####.exr', frames='1-2')"
 

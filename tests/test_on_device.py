@@ -12,10 +12,11 @@ import time
 import numpy as np
 import pytest
 
-from postfx import DenoiseUpscale, Device, Frame, MixPartner, Partner, Pipeline, PostfxError, Role
+from postfx import DenoiseUpscale, Device, Frame, MixPartner, Partner, Pipeline, PostfxError, Role, stills
 from postfx.errors import FrameError
 from postfx.passes import Downloads, share_planes
-from postfx.runtime import ArgumentTable, BindingError, HazardError, memory
+from postfx.passes.display import View
+from postfx.runtime import ArgumentTable, BindingError, HazardError, Tensor, memory
 from postfx.runtime import device as device_module
 from postfx.runtime.device import ProviderMemory, cuda_fault
 from postfx.runtime.session import Placement
@@ -84,7 +85,7 @@ def test_on_the_host_it_is_the_pipeline_without_copies():
     results = []
     for number, planes in enumerate(frames(), 1):
         given = {str(role): torch.from_numpy(plane.copy()) for role, plane in planes.items()}
-        found = pipeline.on_device(given, 1.0, number=number)
+        found = pipeline.on_device(given, exposure=0.0, number=number)
         results.append(torch.from_dlpack(found[Role.COLOUR]))
         assert results[-1].data_ptr() == found[Role.COLOUR].start and list(found) == [Role.COLOUR]
     for result, right in zip(results, expected(Device("cpu")), strict=True):
@@ -104,7 +105,7 @@ def test_arrays_of_a_device_stay_there(far, how, monkeypatch):
         del copied[:], far.memory.followed[:]
         given = {role: There(plane, how=how, **({"stream": 5} if how == ("cuda",) else {})) for role, plane in
                  planes.items()}
-        found = pipeline.on_device(given, 1.0, number=number)
+        found = pipeline.on_device(given, exposure=0.0, number=number)
         assert number == 1 or sum(nbytes for _, nbytes in copied) < 1000, copied  # parameters; first, what is missing
         assert found[Role.COLOUR].__dlpack_device__() == (2, 0)
         assert np.array_equal(found[Role.COLOUR].download(), right[number - 1][Role.COLOUR])
@@ -175,7 +176,8 @@ def test_guides():
     sharp = {Role.DIFFUSE_ALBEDO: RNG.random((72, 96, 3), np.float32), Role.NORMAL: RNG.random((72, 96, 3), np.float32)}
     plain = Pipeline([DenoiseUpscale(model="m", scale=2)], Device("cpu"), exposure=0.0)
     right = plain(Frame(dict(PLANES), guides=dict(sharp)))
-    found = plain.on_device(PLANES, 1.0, guides={role: torch.from_numpy(p) for role, p in sharp.items()}, reset=True)
+    guides = {role: torch.from_numpy(plane) for role, plane in sharp.items()}
+    found = plain.on_device(PLANES, exposure=0.0, guides=guides, reset=True)
     assert np.array_equal(found[Role.COLOUR].array, right[Role.COLOUR])
     assert plain.plan.available.guide_roles == (Role.NORMAL, Role.DIFFUSE_ALBEDO)
 
@@ -189,9 +191,19 @@ WRONG = [
      "is the host"),
     ({}, {}, "a frame needs at least one plane"),
     (PLANES | {Role.DEPTH: np.ones((2, 2, 1), "f4")}, {}, "planes differ in size: colour 48x36, depth 2x2"),
-    (PLANES, {"exposure": 0.0}, "exposure 0.0: a multiplier is above 0"),
+    (PLANES, {"exposure": 65}, "exposure '65': use auto, lit, metadata or a number of stops"),
+    (PLANES, {"exposure": float("nan")}, "exposure 'nan': use auto"),
     (PLANES, {"guides": {Role.MOTION: PLANES[Role.MOTION]}}, "plane 'motion' cannot be a guide"),
 ]
+
+
+def test_a_stop_more_exposure_is_a_stop_more_light() -> None:
+    """As in `Pipeline(exposure=1.0)`."""
+    look = View(view="reinhard", exact=False)
+    given = {Role.COLOUR: PLANES[Role.COLOUR], Role.NORMAL: PLANES[Role.NORMAL]}
+    found = Pipeline([look], Device("cpu"), cuts="none").on_device(given, exposure=1.0)[Role.COLOUR].download()
+    wanted = Pipeline([View(view="reinhard", exact=False)], Device("cpu"), 1.0, "none")(Frame(dict(given)))
+    np.testing.assert_array_equal(found, wanted[Role.COLOUR])
 
 
 @pytest.mark.parametrize("planes, options, message", WRONG)
@@ -303,7 +315,8 @@ def test_on_a_gpu(how):
     for number, (planes, right) in enumerate(zip(frames(), expected(device), strict=True), 1):
         for role, plane in planes.items():
             held[role].upload(plane)
-        found = pipeline.on_device({role: memory_of(tensor, how) for role, tensor in held.items()}, 1.0, number=number)
+        lent = {role: memory_of(tensor, how) for role, tensor in held.items()}
+        found = pipeline.on_device(lent, exposure=0.0, number=number)
         again = device.wrap("again", memory_of(found[Role.COLOUR], how))
         assert again.start == found[Role.COLOUR].start
         assert np.abs(again.download() - right[Role.COLOUR]).max() < 1e-2 * right[Role.COLOUR].max()
@@ -326,7 +339,7 @@ def test_tensors_of_pytorch_on_a_gpu():
         pytest.skip("needs PyTorch for CUDA")
     device = Device("cuda")
     planes = {role: torch.from_numpy(plane).cuda() for role, plane in PLANES.items()}
-    found = Pipeline([DenoiseUpscale(model="s", scale=2)], device).on_device(planes, 1.0)[Role.COLOUR]
+    found = Pipeline([DenoiseUpscale(model="s", scale=2)], device).on_device(planes, exposure=0.0)[Role.COLOUR]
     assert torch.from_dlpack(found).is_cuda
     assert np.array_equal(torch.from_dlpack(found).cpu().numpy(), found.download())
     assert torch.equal(torch.as_tensor(found, device="cuda"), torch.from_dlpack(found))
@@ -378,5 +391,33 @@ def test_a_partner_that_runs_on_the_host_gives_the_same_on_a_device(far):
                    for some, device in zip(passes, (Device("cpu", 2, compiled_kernels=False), far), strict=True))
     for number, planes in enumerate(frames(), 1):
         right = here(Frame(dict(planes), number))
-        found = there.on_device({role: There(plane) for role, plane in planes.items()}, 1.0, number=number)
+        found = there.on_device({role: There(plane) for role, plane in planes.items()}, exposure=0.0, number=number)
         np.testing.assert_allclose(found[Role.COLOUR].download(), right[Role.COLOUR], rtol=1e-3, atol=1e-3)
+
+
+def test_a_still_on_a_gpu_stays_there(far):
+    """`postfx.denoise` takes its arrays where they are, and gives an array of the same library."""
+    given = {name: There(PLANES[Role(name)]) for name in ("color", "albedo", "normal")}
+    stills._pipeline.cache_clear()
+    found = stills.denoise(given.pop("color"), **given, model="s", exposure=1.0, device="auto")
+    stills._pipeline.cache_clear()
+    assert isinstance(found, Tensor) and found.__dlpack_device__() == (2, 0)
+    planes = {role: PLANES[role] for role in (Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.NORMAL)}
+    right = Pipeline([DenoiseUpscale(model="s")], far, exposure=1.0)(Frame(planes))[Role.COLOUR]
+    np.testing.assert_allclose(found.download(), right, rtol=1e-4, atol=1e-5)
+
+
+def test_a_still_on_a_gpu_has_three_channels(far):
+    with_alpha = There(np.dstack([PLANES[Role.COLOUR], np.ones((36, 48, 1), "f4")]))
+    with_alpha.shape = with_alpha.array.shape
+    with pytest.raises(PostfxError, match=r"color is \(36, 48, 4\) on a GPU.*give color\[..., :3\]"):
+        stills.denoise(with_alpha, model="s", device="auto")
+
+
+def test_the_gpu_of_an_array_is_the_device(monkeypatch):
+    asked = []
+    monkeypatch.setattr(stills, "_pipeline", lambda *options: asked.append(options[4]) or pytest.skip)
+    for place, wanted in (((2, 1), "cuda:1"), ((1, 0), None), ((3, 0), None)):
+        with pytest.raises(AttributeError):
+            stills.denoise(There(PLANES[Role.COLOUR], place=place), model="s")
+        assert asked.pop() == wanted

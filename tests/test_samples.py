@@ -4,6 +4,7 @@ import contextlib
 import io
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from PIL import Image
 
 import postfx
 from postfx.cuts import CutDetector
@@ -38,9 +40,49 @@ def test_script_writes_its_frames(script, tmp_path):
     assert len([path for path in tmp_path.iterdir() if path.stat().st_size > 10000]) == WRITERS[script]
 
 
-def test_before_and_after_stand_side_by_side(tmp_path):
-    run("before_after.py", str(tmp_path / "both.png"))
-    assert (tmp_path / "both.png").stat().st_size > 100000
+def test_the_demo_says_what_takes_how_long_and_shows_a_page_with_a_video(tmp_path):
+    said = run("demo.py", str(tmp_path))
+    assert re.findall(r"(?m)^(\d of 4)  ", said) == ["2 of 4", "3 of 4", "4 of 4"]
+    assert len(re.findall(r"(?m)^ +\d+\.\d s$", said)) == 3
+    page = (tmp_path / "index.html").read_text("utf-8")
+    assert all((tmp_path / name).stat().st_size > 20000 for name in re.findall(r'src="([^"]+)"', page))
+    with Image.open(tmp_path / "video.png") as video:
+        assert video.n_frames == 14 and video.size == (2 * 640 + 4, 360)
+        shown = []
+        for number in (0, 7, 13):
+            video.seek(number)
+            shown.append(np.asarray(video.convert("RGB"), np.float32)[:, 644:])
+    picture = oiio.ImageBuf(str(tmp_path / "picture.0001.png")).get_pixels(oiio.UINT8)[..., :3]
+    assert np.abs(shown[0] - picture).max() <= 1  # the video's first frame is the picture, but for its dither
+    assert np.abs(shown[1] - shown[0]).mean() > 2 * np.abs(shown[2] - shown[0]).mean() > 0  # it goes and comes back
+    noisy, clean = (oiio.ImageBuf(str(tmp_path / "before_after.png")).get_pixels()[:, half]
+                    for half in (slice(0, 316), slice(324, 640)))
+    assert np.abs(np.diff(noisy[::2], axis=0)).mean() > 3 * np.abs(np.diff(clean[::2], axis=0)).mean()
+
+
+def test_an_animation_of_pictures_of_two_sizes_is_refused(tmp_path):
+    made = runpy.run_path(str(SAMPLES / "pictures.py"))
+    for name, side in (("a.png", 8), ("b.png", 9)):
+        Image.new("RGB", (side, side)).save(tmp_path / name)
+    with pytest.raises(ValueError, match=r"b\.png: is not of the size"):
+        made["write_animation"](tmp_path / "c.png", [tmp_path / "a.png", tmp_path / "b.png"], 8)
+
+
+def test_the_showcase_is_drawn_and_measured(tmp_path):
+    """By frames of the room in the place of the product shot."""
+    pytest.importorskip("flip_evaluator")
+    pytest.importorskip("pyoidn")
+    for number in (7, 8):
+        shutil.copy(SAMPLES / f"room/noisy.{number:04d}.exr", tmp_path)
+    large = next(iter(postfx.read_sequence(SAMPLES / "room/reference.0008.exr")))[postfx.Role.COLOUR]
+    small = large.reshape(180, 2, 320, 2, 3).mean((1, 3))
+    postfx.write_frame(tmp_path / "reference.0008.exr", postfx.Frame({postfx.Role.COLOUR: small}))
+    said = run("showcase.py", str(tmp_path), str(tmp_path / "out"), "--places", "60,40", "--side", "60")
+    rows = re.findall(r"(?m)^(.{28}) PSNR (\S+)", said)
+    found = {name.strip(): float(figure) for name, figure in rows}
+    assert found["as rendered"] + 5 < min(found["Open Image Denoise"], found["postfx, network m"])
+    with Image.open(tmp_path / "out/showcase.jpg") as picture, Image.open(tmp_path / "out/showcase.webp") as video:
+        assert picture.size == (4 * 180 + 12, 180 + 4 + 180) and video.n_frames == 2
 
 
 def test_planes_stand_on_one_picture(tmp_path):
@@ -329,7 +371,7 @@ def test_pictures_of_tools_show_what_they_say(tmp_path):
     pixels = made["pixels_of"](tmp_path / "board.png")
     dark, right, bright = (pixels[:180, x:x + 320].mean() / 255 for x in (0, 328, 656))
     assert abs(right - 0.35) < 0.02 and dark < right - 0.08 and bright > right + 0.08
-    found = made["debug"](made["shots"](), [postfx.ToneMap(tag="aces2")], "metadata")
+    found = made["debug"](made["shots"](), [postfx.ToneMap(look="aces2")], "metadata")
     assert [shot.verdict for shot in found.shots] == ["right", "drifting", "too dark"]
 
 
@@ -342,7 +384,8 @@ def test_passes_by_networks_of_scenes_are_timed():
 
 
 def test_every_script_is_run_here():
-    named = {*WRITERS, "before_after.py", "read_sequence.py", "compare_speed.py", "masked_speed.py", "leave_alone.py",
+    named = {*WRITERS, "demo.py", "pictures.py", "showcase.py", "read_sequence.py",
+             "compare_speed.py", "masked_speed.py", "leave_alone.py",
              "converged.py", "window_cost.py", "one_source.py", "overlay_edges.py", "ghosts.py", "measure_memory.py",
              "ray_caster.py", "integration_mistakes.py", "look_speed.py", "both_ways.py", "command_speed.py",
              "external_tone_mapper.py", "between_frames.py", "mlp_in_kernel.py", "neural_speed.py", "sky.py",

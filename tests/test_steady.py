@@ -105,7 +105,7 @@ def test_commands_of_a_steady_frame_are_recorded_once(
     monkeypatch.setattr(CommandBuffer, "_start", lambda self, encoder: begun.append(encoder.label)
                         or start(self, encoder))
     device = Device("cpu", threads=1)
-    again, anew = (postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model="s"), postfx.ToneMap(tag=TAGS[masked])],
+    again, anew = (postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model="s"), postfx.ToneMap(look=TAGS[masked])],
                                    device, 0.5, cuts="none") for _ in range(2))
     for what in ("passage", "find"):
         monkeypatch.setattr(anew._flow._recordings, what, lambda key: None)
@@ -126,4 +126,4 @@ def run(chain: postfx.Pipeline, shown: Frame, away: bool) -> np.ndarray:
     """The colour that comes out, of planes that stay in the device's memory or not."""
     if not away:
         return chain(shown)[Role.COLOUR]
-    return chain.on_device(shown.planes, 2.0 ** 0.5)[Role.COLOUR].download()
+    return chain.on_device(shown.planes, exposure=0.5)[Role.COLOUR].download()

@@ -33,6 +33,22 @@ def test_alpha_stays_with_the_colour():
     np.testing.assert_array_equal(found[..., 3], 1)
 
 
+def test_both_spellings_are_taken_and_one_is_needed():
+    by_name = postfx.denoise(colour=COLOUR, albedo=ALBEDO, model="s", device="cpu")
+    np.testing.assert_array_equal(by_name, postfx.denoise(COLOUR, albedo=ALBEDO, model="s", device="cpu"))
+    frame = {"color": COLOUR, "albedo": ALBEDO}
+    assert list(Frame(frame).planes) == [Role.COLOUR, Role.DIFFUSE_ALBEDO]
+    for given in ((), (COLOUR,)):
+        with pytest.raises(PostfxError, match="denoise takes one picture: give color"):
+            postfx.denoise(*given, **({"colour": COLOUR} if given else {}))
+
+
+def test_the_former_name_of_an_option_works_and_warns():
+    with pytest.warns(DeprecationWarning, match="pass 'tonemap': option 'tag' is now 'look'"):
+        old = postfx.ToneMap(tag="agx")
+    assert repr(old) == repr(postfx.ToneMap("agx")) == "ToneMap(look='agx')"
+
+
 def test_tensors_in_and_out():
     torch = pytest.importorskip("torch")
     found = postfx.denoise(torch.from_numpy(COLOUR), albedo=torch.from_numpy(ALBEDO), model="s", device="cpu")

@@ -92,7 +92,7 @@ def test_a_frame_that_fails_before_the_passes_ends_the_history_too(device, troub
     assert np.array_equal(pipeline(frame)[Role.COLOUR], frame[Role.COLOUR])
 
 
-@pytest.mark.parametrize("other", [[ToneMap(tag="local")], [DenoiseUpscale(model="m")]])
+@pytest.mark.parametrize("other", [[ToneMap(look="local")], [DenoiseUpscale(model="m")]])
 def test_a_history_of_others_is_refused(device, other):
     foreign = Pipeline(other, device)
     foreign(moving(1))

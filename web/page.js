@@ -75,8 +75,23 @@ async function draw() {
   $("pictures").hidden = $("save").hidden = false;
   $("save").href = $("after").toDataURL("image/png");
   options.shown.value = `${(frame.stops + Number(options.stops.value)).toFixed(1)} EV`;
-  divide();
+  enlarge();
   tell(`${frame.width}x${frame.height} to ${clean.width}x${clean.height} in ${frame.seconds.toFixed(1)} s`);
+}
+
+/** Makes a pixel of the result as large as the control says; "fit" takes the page's width. */
+function enlarge() {
+  const zoom = Number(options.zoom.value);
+  $("pictures").style.width = zoom ? `${zoom * clean.width}px` : "";
+  $("after").style.imageRendering = zoom ? "pixelated" : "";
+  divide();
+}
+
+/** All controls as at the start; the frame stays. */
+async function reset() {
+  await painted(); // the form's own values are there after the event
+  $("split").value = 50;
+  if (frame) await process();
 }
 
 function divide() {
@@ -109,6 +124,8 @@ $("sample").addEventListener("click", async () => shown(open(await (await fetch(
 options.scale.addEventListener("change", () => frame && shown(process()));
 options.look.addEventListener("change", () => clean && shown(draw()));
 options.stops.addEventListener("change", () => clean && shown(draw()));
+options.zoom.addEventListener("change", () => clean && enlarge());
+$("options").addEventListener("reset", () => shown(reset()));
 $("split").addEventListener("input", divide);
 addEventListener("resize", () => clean && divide());
 for (const kind of ["dragover", "dragleave", "drop"]) {

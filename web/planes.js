@@ -10,7 +10,8 @@ const MAGIC = 20000630;
 const [MULTI_PART, DEEP] = [16, 8];
 const [UINT, FLOAT] = [0, 2];
 const PIZ = 4; // the loader takes all its channels for one type
-const DWA = [8, 9]; // and these it cannot read where a file has more channels than colour
+// Compressions that the loader cannot read: DWA where a file has more channels than colour, the others at all.
+const UNREADABLE = { 8: "DWAA", 9: "DWAB", 10: "HTJ2K", 11: "HTJ2K", 12: "LJ2K", 13: "ZSTD" };
 
 // Plane -> names of its layer, best first, its letters, and what its numbers are multiplied by. "" is no layer.
 const PLANES = {
@@ -138,7 +139,8 @@ function alike(part, names) {
 
 function decode(buffer, parts, index, names) {
   const { compression, channels } = parts[index];
-  if (DWA.includes(compression)) throw new Error("DWA cannot be read here: save the file as ZIP");
+  const unreadable = UNREADABLE[compression];
+  if (unreadable) throw new Error(`${unreadable} cannot be read here: save the file as ZIP`);
   if (compression === PIZ && !alike(parts[index], channels.map(({ name }) => name))) {
     throw new Error("PIZ of half and float channels in one part cannot be read here: save the file as ZIP");
   }

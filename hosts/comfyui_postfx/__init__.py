@@ -159,7 +159,7 @@ class Look:
         return {"required": {"frames": (FRAMES,), "look": (looks, {"default": "aces2"})}}
 
     def add(self, frames: Shot, look: str) -> tuple[Shot]:
-        return (replace(frames, passes=(*frames.passes, lambda: postfx.ToneMap(tag=look))),)
+        return (replace(frames, passes=(*frames.passes, lambda: postfx.ToneMap(look=look))),)
 
 
 class SaveFrames:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "preview": {"model": "s", "run_up": 0, "preroll": 0},
+    "preview": {"model": "s", "run_up": 0, "preroll": 0, "fast_look": True},
     "final": {"both_ways": True, "with": "auto"},
     "animation": {"both_ways": True, "exposure": "smooth"},
 }
@@ -91,9 +91,9 @@ FILES_WRITTEN = Section("files that are written", (
            help="bits of a channel. EXR: 16 (half floats, default) or 32 (floats, default with --aov-denoise depth or "
            "position); PNG: 8 (default) or 16 (default in HDR); TIFF: 8 or 16 (default)"),
     Option(flag="--compression", metavar="NAME", default="zip", sets="writer.compression",
-           help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa or dwab, the last two "
-           "also with a level as dwaa:45. From pxr24 on they lose a little (default: zip, the fastest of those "
-           "that shrink files)"),
+           help="compression of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab, htj2k256, htj2k32, "
+           "lj2k or zstd. Both kinds of dwa also have a level, as dwaa:45. Those that lose a little: pxr24, b44, dwa, "
+           "lj2k. Few programs read the last four yet (default: zip, the fastest of those that shrink files)"),
 ))
 
 
@@ -173,6 +173,11 @@ DISPLAY = Option(
     "pq,peak=1000,white=203 (nits of the brightest light and of diffuse white). Learned looks are SDR: their "
     "white becomes diffuse white",
 )
+FAST_LOOK = Option(
+    flag="--fast-look", sets="look.fast",
+    help="show an OpenColorIO view, a look-up table or a formula through a cube of 65 steps: faster, and up to 10 of "
+    "255 steps off in saturated light. By default every pixel is exact. Networks are not affected",
+)
 LOOK = (TONEMAP, NO_TONEMAP, DISPLAY)
 """Options that say what pictures look like."""
 
@@ -217,8 +222,8 @@ def _list_passes() -> str:
 
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
-           help="preview: the fastest (--model s --run-up 0 --preroll 0); final: the cleanest (--both-ways --with "
-           "auto); animation: steady brightness (--both-ways --exposure smooth). Options that you give yourself "
+           help="preview: the fastest (--model s --run-up 0 --preroll 0 --fast-look); final: the cleanest (--both-ways "
+           "--with auto); animation: steady brightness (--both-ways --exposure smooth). Options that you give yourself "
            "win"),
     Option(flag="--scale", basic=True, metavar="S", type=float, either="size", sets="denoiser.scale",
            excludes=_FOR_DENOISER,
@@ -337,6 +342,7 @@ LOOKS = Section("look", (
            help="exposure of pictures, in stops, or how to find it: auto, metered frame by frame (default); smooth, "
            "metered on the whole sequence; metadata, from the header; lit, from the header, else 0"),
     DISPLAY,
+    FAST_LOOK,
     Option(flag="--dither", choices=("moving", "static", "none"), default="moving", sets="writer.dither",
            help="dithering of 8-bit pictures: another pattern in each frame (default), always the same one, or none"),
     Option(flag="--pass", metavar="NAME[,OPTION=VALUE]", repeated=True,

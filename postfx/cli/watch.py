@@ -22,7 +22,8 @@ frame has the history of the ones before it. A frame counts as written when its 
 seconds and can be read. Late frames are waited for. Options of 'postfx run' go after --.
 
 Frames that exist already come first. A shot's first frames are noisier than with 'postfx run', which also uses the
-frames after them. Make final frames with 'postfx run': watch writes no manifest and replaces outputs.
+frames after them. Make final frames with 'postfx run': watch writes no manifest, replaces outputs and looks
+colours up (--fast-look).
 """
 EXAMPLES = """\
 examples:
@@ -102,6 +103,7 @@ def _make_job(arguments: argparse.Namespace, pattern: Pattern, first: int) -> Jo
         if is_given:
             raise OptionError(f"{flag} needs all frames, but watch knows only those written so far: leave it out")
     given.run_up = given.run_up or 0
+    given.fast_look = True
     return Job(given)
 
 

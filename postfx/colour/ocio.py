@@ -1,4 +1,4 @@
-"""Views and look-up tables through the OpenColorIO that is part of OpenImageIO."""
+"""Views and look-up tables through OpenColorIO."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import OpenImageIO as oiio
 
 from postfx.colour import ACES2065_1, ACESCG, matrix_between
 from postfx.colour.displays import Display, parse_display
+from postfx.colour.ocio_library import Colours, Config, load
 from postfx.errors import ColourError
 
 PREFIX = "ocio:"
@@ -35,12 +34,8 @@ _NOTE = re.compile(r"^#\s*postfx: input=(.+), output=(\S+)$", re.MULTILINE)
 _HEAD = 4096
 
 
-Apply = Callable[[oiio.ImageBuf], oiio.ImageBuf]
-"""A transform by OpenImageIO; the returned image holds the error, if any."""
-
-
 class Transform(NamedTuple):
-    """A function from linear ACEScg (..., 3) to code values, their display, and a title."""
+    """A function from linear ACEScg (..., 3) of any sign to code values, their display, and a title."""
 
     apply: Callable[[np.ndarray], np.ndarray]
     display: Display
@@ -65,11 +60,8 @@ def view_transform(text: str, display: Display) -> Transform:
     if own.name == "pq" and nits:
         own = replace(own, peak=max(float(nits[1]), own.white or 0.0))
 
-    def apply(image: oiio.ImageBuf) -> oiio.ImageBuf:
-        return oiio.ImageBufAlgo.ociodisplay(
-            image, display=shown, view=view, fromspace=INTERCHANGE, colorconfig=name, unpremult=False)
-
-    return Transform(lambda x: _run(apply, x, f"{PREFIX}{text}"), own, f"{view}, {shown}")
+    colours = config.show(INTERCHANGE, shown, view)
+    return Transform(lambda x: _run(colours, x, f"{PREFIX}{text}"), own, f"{view}, {shown}")
 
 
 def file_transform(text: str) -> Transform:
@@ -96,37 +88,29 @@ def file_transform(text: str) -> Transform:
     if space is None:
         raise ColourError(f"{path}: does not say which colours it takes: give e.g. {path},input=ACEScct")
     name, config = config_name(), _config(config_name())
-    if config.resolve(space) not in config.getColorSpaceNames():
+    if not config.resolve(space):
         raise ColourError(f"{path}: {name} has no colour space '{space}': use ACEScct, 'Linear Rec.709 (sRGB)' or such")
     file = str(Path(path).resolve())
 
-    def apply(image: oiio.ImageBuf) -> oiio.ImageBuf:
-        own = oiio.ImageBufAlgo.colorconvert(
-            image, fromspace=INTERCHANGE, tospace=space, colorconfig=name, unpremult=False)
-        return oiio.ImageBufAlgo.ociofiletransform(own, name=file, colorconfig=name, unpremult=False)
-
-    return Transform(lambda x: _run(apply, x, path), parse_display(output), f"{Path(path).name}, takes {space}")
+    own, table = config.convert(INTERCHANGE, space), config.look_up(file)
+    return Transform(lambda x: _run(lambda light: table(own(light)), x, path), parse_display(output),
+                     f"{Path(path).name}, takes {space}")
 
 
 def convert(light: np.ndarray, source: str, target: str) -> np.ndarray:
     """Colours (..., 3) from one colour space of the built-in config to another, float64."""
-
-    def apply(image: oiio.ImageBuf) -> oiio.ImageBuf:
-        return oiio.ImageBufAlgo.colorconvert(
-            image, fromspace=source, tospace=target, colorconfig=BUILT_IN, unpremult=False)
-
-    return _apply(apply, light, f"{source} to {target}")
+    return _apply(_config(BUILT_IN).convert(source, target), light, f"{source} to {target}")
 
 
 def name_of_id(identifier: str) -> str | None:
     """Colour space of the built-in config with this identifier of the Color Interop Forum, None where it has none."""
     config = _config(BUILT_IN)
-    return next((name for name in config.getColorSpaceNames() if config.get_color_interop_id(name) == identifier), None)
+    return next((name for name in config.spaces if config.interop_id(name) == identifier), None)
 
 
 def is_linear(name: str) -> bool:
     """Whether a colour space of the built-in config is linear."""
-    return bool(_config(BUILT_IN).isColorSpaceLinear(name))
+    return _config(BUILT_IN).is_linear(name)
 
 
 def is_lut(text: str) -> bool:
@@ -134,30 +118,23 @@ def is_lut(text: str) -> bool:
     return Path(text.partition(",")[0]).suffix.lower() in LUTS
 
 
-@cache
-def _config(name: str) -> oiio.ColorConfig:
-    config = oiio.ColorConfig(name)
-    try:
-        problem = config.geterror()
-    except UnicodeDecodeError:
-        problem = "it holds bytes that are no text"
-    if problem or not config.getDisplayNames():
-        raise ColourError(f"{name}: not a readable OpenColorIO config: {problem or 'it has no displays'}")
-    if INTERCHANGE not in config.getRoles():
+def _config(name: str) -> Config:
+    config = load(name)
+    if INTERCHANGE not in config.roles:
         raise ColourError(f"{name}: has no role {INTERCHANGE}, so its colours are unknown: add the role")
     return config
 
 
-def _display_name(config: oiio.ColorConfig, name: str, wanted: str, candidates: tuple[str, ...]) -> str:
-    there = config.getDisplayNames()
+def _display_name(config: Config, name: str, wanted: str, candidates: tuple[str, ...]) -> str:
+    there = config.displays
     found = next((display for display in candidates if display in there), None)
     if found is None:
         raise ColourError(f"{name}: no display for '{wanted}': name one by ocio:VIEW@DISPLAY: {', '.join(there)}")
     return found
 
 
-def _view_name(config: oiio.ColorConfig, shown: str, wanted: str, display: Display) -> str:
-    there = list(config.getViewNames(shown))
+def _view_name(config: Config, shown: str, wanted: str, display: Display) -> str:
+    there = list(config.views(shown))
     words = wanted.lower().split()
     matching = [view for view in there if view.lower() == wanted.lower()]
     matching = matching or [view for view in there if all(word in view.lower() for word in words)]
@@ -165,7 +142,7 @@ def _view_name(config: oiio.ColorConfig, shown: str, wanted: str, display: Displ
         bright = [view for view in matching if f" {display.peak:g} nits" in view]
         matching = bright or (matching if words else [])
     elif not words:
-        matching = [config.getDefaultViewName(shown)]
+        matching = [config.default_view(shown)]
     if not matching or (words and len(matching) > 1):
         what = f"several views are '{wanted}'" if matching else f"no view '{wanted}'"
         what += f" for {display.peak:g} nits" if display.hdr and not words else ""
@@ -173,19 +150,18 @@ def _view_name(config: oiio.ColorConfig, shown: str, wanted: str, display: Displ
     return matching[0]
 
 
-def _run(apply: Apply, light: np.ndarray, what: str) -> np.ndarray:
+def _run(colours: Colours, light: np.ndarray, what: str) -> np.ndarray:
     """A transform of linear ACEScg (..., 3), clipped to [0, 1]."""
-    codes: np.ndarray = np.clip(_apply(apply, light @ matrix_between(ACESCG, ACES2065_1).T, what), 0, 1)
+    codes: np.ndarray = np.clip(_apply(colours, light @ matrix_between(ACESCG, ACES2065_1).T, what), 0, 1)
     return codes
 
 
-def _apply(apply: Apply, colours: np.ndarray, what: str) -> np.ndarray:
-    image = oiio.ImageBuf(np.ascontiguousarray(colours.reshape(-1, 1, 3), np.float32))
+def _apply(colours: Colours, light: np.ndarray, what: str) -> np.ndarray:
     try:
-        result = apply(image)
-        problem = result.geterror() if result.has_error else None
-    except (RuntimeError, UnicodeDecodeError) as error:  # the message has braces, or bytes of the file that are no text
+        found = colours(np.ascontiguousarray(light.reshape(-1, 3), np.float32))
+    except UnicodeDecodeError as error:  # the message has bytes of the file that are no text
         raise ColourError(f"{what}: cannot be read as a colour transform") from error
-    if problem is not None:
-        raise ColourError(f"{what}: {problem.splitlines()[0]}")
-    return np.asarray(result.get_pixels("float")).reshape(colours.shape).astype(np.float64)
+    except RuntimeError as error:
+        why = str(error).partition("\n")[0] or "cannot be read as a colour transform"
+        raise ColourError(f"{what}: {why}") from error
+    return found.reshape(light.shape).astype(np.float64)

@@ -1,7 +1,8 @@
 """Ways to show light.
 
 Views turn exposed scene-linear light into code values of a display. A view is a function of one colour. It is evaluated
-once, at the corners of a cube on logarithmic axes, and the kernel `apply_cube` interpolates every pixel between them.
+for every pixel, which is exact, or once, at the corners of a cube on logarithmic axes; the kernel `apply_cube` then
+interpolates every pixel between them.
 Camera operators judge exposure by false colour and zebra, and pictures are compared as code values.
 """
 
@@ -28,7 +29,7 @@ class View:
     """A view, its input light and its display.
 
     Attributes:
-        apply: light (..., 3), at least 0 -> code values (..., 3) in [0, 1].
+        apply: light (..., 3) -> code values (..., 3) in [0, 1].
         primaries: primaries of the light.
         display: the display that the code values are for.
         title: name for people.
@@ -74,10 +75,11 @@ def find_view(text: str, display: Display) -> View:
     """
     if text == "reinhard":
         own = display.kind.primaries
-        return View(lambda x: display.encode(reinhard(x, own, display.most)), own, display, "Reinhard 2002")
+        return View(lambda x: display.encode(reinhard(np.maximum(x, 0), own, display.most)), own, display,
+                    "Reinhard 2002")
     if text == "neutral":
         srgb = parse_display("srgb")
-        return View(lambda x: srgb.encode(neutral(x)), REC709, srgb, "Khronos PBR Neutral")
+        return View(lambda x: srgb.encode(neutral(np.maximum(x, 0))), REC709, srgb, "Khronos PBR Neutral")
     if text.startswith(ocio.PREFIX):
         transform = ocio.view_transform(text.removeprefix(ocio.PREFIX), display)
     else:
@@ -99,13 +101,13 @@ def axis(size: int = SIZE) -> np.ndarray:
     return TOE * (np.exp2(np.linspace(0, 1, size) / SCALE) - 1)
 
 
-def bake(text: str, display: Display) -> tuple[View, np.ndarray]:
-    """A view and its cube, (SIZE, SIZE, SIZE, 3) float32: red, green, blue, channel."""
-    view, light = find_view(text, display), axis()
+def bake(view: View) -> np.ndarray:
+    """A view's cube, (SIZE, SIZE, SIZE, 3) float32: red, green, blue, channel."""
+    light = axis()
     corners = np.stack(np.meshgrid(light, light, light, indexing="ij"), -1)
-    cube = np.clip(view.apply(corners), 0, 1).astype(np.float32)
+    cube: np.ndarray = np.clip(view.apply(corners), 0, 1).astype(np.float32)
     cube.setflags(write=False)
-    return view, cube
+    return cube
 
 
 LUMA = np.array((0.2126, 0.7152, 0.0722), np.float32)

@@ -101,7 +101,7 @@ class ExposureMeter:
             return _header_exposure(frame)
         if self.mode == "auto":
             return float(2.0 ** self._follow(frame))
-        return float(2.0 ** float(self.mode))
+        return factor_of(self.mode)
 
     def _follow(self, frame: Frame) -> float:
         wanted = measure(frame[Role.COLOUR])
@@ -124,6 +124,11 @@ def frame_rate(frame: Frame) -> float:
 def _share(frame: Frame, brighter: bool) -> float:
     """Share of the way to the metered EV that one frame covers."""
     return 1.0 - math.exp(-1.0 / (frame_rate(frame) * (BRIGHTEN_SECONDS if brighter else DARKEN_SECONDS)))
+
+
+def factor_of(stops: str | float) -> float:
+    """The multiplier of an exposure in stops. Raises ExposureError for what is not a number within -64..64."""
+    return float(2.0 ** _fixed_ev(stops))
 
 
 def _fixed_ev(mode: str | float) -> float:

@@ -23,10 +23,16 @@ from postfx.io.exr.container import MAX_SIDE, ExrContainer, NamedPlanes, PlainRe
 from postfx.io.windows import Part, Window, assign_windows, part_of, some_rows, to_area
 
 READABLE = (".exr", ".hdr")
+"""Endings of files that are looked for in folders."""
+STILLS = (".tif", ".tiff", ".pfm")
+"""Endings of files that are read where they are named, if they hold floats; pictures for displays end so, too."""
 _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
 _STORAGE = ("Orientation", "hdr:exposure", "oiio:Gamma")
 """OpenImageIO's attributes of a Radiance file that are no longer true of pixels as they are read here."""
 _HDR_GROWS = 64  # runs of 127 bytes lie in 2
+_STILL_GROWS = 1100
+"""Most bytes of pixels to a byte of a file: Deflate, the best of TIFF's compressions, reaches 1032."""
+_FLOATS = ("half", "float", "double")
 
 
 def check_claims(path: Path) -> RadianceHeader | ExrContainer:
@@ -65,23 +71,29 @@ class ImageFile:
 
     def __init__(self, path: Path, checked: bool = False) -> None:
         self.path = Path(path)
-        if self.path.suffix.lower() not in READABLE:
-            raise ReadError(f"{path}: not a scene-linear image: give OpenEXR (.exr) or Radiance (.hdr) files")
+        self._is_still = self.path.suffix.lower() in STILLS
+        if self.path.suffix.lower() not in READABLE and not self._is_still:
+            raise ReadError(f"{path}: not a scene-linear image: give OpenEXR (.exr) or Radiance (.hdr) files, or TIFF "
+                            "or PFM of floats")
         if not os.path.isfile(path):
             raise MissingFrameError(f"{path}: no such file: render this frame or leave it out with --frames")
         if not is_utf8(str(path)):
             raise ReadError(f"{make_printable(str(path))}: its name is not UTF-8: rename it")
-        claims = None if checked else check_claims(self.path)
+        claims = None if checked or self._is_still else check_claims(self.path)
         self._container = claims if isinstance(claims, ExrContainer) else None
         self._radiance = claims if isinstance(claims, RadianceHeader) else None
         self._readers: dict[int, PlainReader] = {}
         self._upright: np.ndarray | None = None  # pixels of a Radiance file that does not store them as they are
-        opened = oiio.ImageInput.open(str(self.path))
+        how = oiio.ImageSpec()
+        how.attribute("pnm:pfmflip", 1)  # a PFM begins with its lowest row
+        opened = oiio.ImageInput.open(str(self.path), how)
         if opened is None:
             reason = reason_of(oiio.geterror)
             fix = "save it as RGB, without luminance and chroma" if "ubsampled" in reason else "write the file again"
             raise ReadError(f"{path}: cannot be opened: {reason}; {fix}")
         self._input = opened
+        if self._is_still:
+            _check_still(self.path, opened.spec())
         self.parts = self._scan()
         if self._radiance:
             self.parts = (_radiance_part(self.parts[0], self._radiance),)
@@ -213,6 +225,17 @@ class ImageFile:
             reason = "deep data is not supported: flatten it first, e.g. with oiiotool --flatten"
             raise ReadError(f"{self.path}: {reason if deep else 'holds no image'}")
         return assign_windows(parts)
+
+
+def _check_still(path: Path, spec: oiio.ImageSpec) -> None:
+    """ReadError unless a TIFF or PFM holds floats, and no more pixels than its bytes can."""
+    if str(spec.format) not in _FLOATS:
+        raise ReadError(f"{path}: holds whole numbers, code values of a picture that was made for a display: give the "
+                        "scene-linear render, as OpenEXR or as TIFF of 16 or 32-bit floats")
+    size = path.stat().st_size
+    if max(spec.width, spec.height) > MAX_SIDE or spec.image_bytes() > _STILL_GROWS * size:
+        raise ReadError(f"{path}: broken file: its header claims {spec.width}x{spec.height} pixels in {size} bytes; "
+                        "render or copy this frame again")
 
 
 def _radiance_part(part: Part, header: RadianceHeader) -> Part:

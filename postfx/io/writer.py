@@ -18,7 +18,7 @@ from postfx.errors import OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file, with_slashes
 from postfx.frame import LINEAR, LOG, Frame, Role
 from postfx.io.encode import JPEG, Dither, Picture, encode, has_end, light_of, quantise, tag_codes, tag_light, to_halves
-from postfx.io.exr.container import COMPRESSIONS
+from postfx.io.exr.container import COMPRESSIONS, can_compress
 from postfx.io.exr.passthrough import enlargement_of, select_attributes, set_attributes
 from postfx.io.image_file import reason_of
 from postfx.io.pattern import PLANE, VIEW, Pattern, parse_pattern, split_folder
@@ -73,6 +73,9 @@ def check_compression(path: Path, compression: str) -> None:
     if name not in COMPRESSIONS.values() or (level and (name not in _LEVELLED or not level.isdigit())):
         raise WriteError(f"--compression {compression}: use one of {', '.join(COMPRESSIONS.values())}, or with a level "
                          "dwaa:45 or dwab:45")
+    if not can_compress(name):
+        raise WriteError(f"--compression {name}: OpenImageIO {oiio.__version__}, which is installed here, does not "
+                         "write it: install 3.2 or newer, or give zip")
     if compression != "zip" and path.suffix.lower() not in LINEAR_FORMATS:
         raise WriteError(f"{path}: --compression is for EXR files: leave it out")
 
@@ -110,8 +113,9 @@ def write_frame(
             only beside a picture that has the source's size.
         bits: EXR 16 (half floats, default) or 32 (floats, default beside parts that are distances or places); PNG and
             TIFF 8 or 16 (default: PNG 8, but 16 for HDR displays; TIFF 16); JPEG 8.
-        compression: of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa or dwab, the last two with a level
-            as in 'dwaa:45'. ZIP is the fastest that shrinks, pxr24 (floats), b44 and dwa lose a little.
+        compression: of EXR files: none, rle, zips, zip, piz, pxr24, b44, b44a, dwaa, dwab, htj2k256,
+            htj2k32, lj2k or zstd; dwaa and dwab also with a level as in 'dwaa:45'. ZIP is the fastest that shrinks,
+            pxr24 (floats), b44, dwa and lj2k lose something.
 
     Raises FrameError when the frame has no colour, WriteError when the file cannot be written or its format cannot
     hold such a picture, ReadError when what is kept cannot be read.

@@ -4,6 +4,7 @@ through the entry-point group `postfx.passes`.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -225,8 +226,8 @@ class Pass:
     """Base of all passes. A pass is compiled once for a spec and then encodes frame after frame.
 
     Subclasses set `name`, take their options as keywords with defaults, which they hand to `super().__init__`, and
-    implement `reflect`, `compile` and `encode`; `compile` and `encode` call `super()` first. A pass never reaches into
-    another: planes are shared only through the frame.
+    implement `reflect`, `compile` and `encode`; `compile` and `encode` call `super()` first. The first option may come
+    without its name. A pass never reaches into another: planes are shared only through the frame.
     """
 
     name: ClassVar[str]
@@ -235,14 +236,21 @@ class Pass:
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Every option with its default value; taken from the signature unless a subclass sets them."""
 
+    renamed: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """Options by their former names: they still work, with a DeprecationWarning."""
+
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         if "__init__" in cls.__dict__ and "defaults" not in cls.__dict__:
             options = signature(cls).parameters.values()
-            cls.defaults = MappingProxyType({option.name: option.default for option in options
-                                             if option.kind is Parameter.KEYWORD_ONLY})
+            named = Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY
+            cls.defaults = MappingProxyType({option.name: option.default for option in options if option.kind in named})
 
     def __init__(self, **options: Any) -> None:
+        for old in set(options) & set(self.renamed):
+            warnings.warn(f"pass '{self.name}': option '{old}' is now '{self.renamed[old]}'", DeprecationWarning,
+                          stacklevel=3)
+            options[self.renamed[old]] = options.pop(old)
         unknown = sorted(set(options) - set(self.defaults))
         if unknown:
             valid = ", ".join(self.defaults) or "none"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import ClassVar, Never
 
 import numpy as np
@@ -9,14 +10,18 @@ import numpy as np
 from postfx.colour import REC709, matrix_between
 from postfx.colour.displays import Display as Target
 from postfx.colour.displays import parse_display
-from postfx.colour.views import SCALE, TOE, VIEWS, bake, is_view
+from postfx.colour.views import SCALE, TOE, VIEWS, bake, find_view, is_view
 from postfx.errors import ColourError, PassOptionError, suggest
 from postfx.frame import LINEAR, FrameSpec, Role
 from postfx.kernels.colour import ENCODE_DISPLAY, ROOT, STEPS, form_of
+from postfx.kernels.numeric import BRIGHTEST
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.registry import create
 from postfx.plan import Skip
 from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library
+
+ROWS = 32
+"""Rows of a picture that one thread shows at a time."""
 
 
 class Display(Pass):
@@ -32,7 +37,7 @@ class Display(Pass):
 
     name: ClassVar[str] = "display"
 
-    def __init__(self, *, display: str = "srgb", **unknown: Never) -> None:
+    def __init__(self, display: str = "srgb", **unknown: Never) -> None:
         super().__init__(display=display, **unknown)
         self._target = parse_display(display)
 
@@ -104,24 +109,28 @@ def _source(spec: FrameSpec, target: Target) -> Target | None:
 
 
 class View(Pass):
-    """Exposed scene-linear colour to code values of a display through a cube of 65x65x65.
+    """Exposed scene-linear colour to code values of a display, by a view of OpenColorIO, a look-up table or a formula.
 
-    The cube holds a view of OpenColorIO, a look-up table or a formula.
+    A view is evaluated for every pixel on the host. With `exact=False` a cube of 65x65x65 stands in for it, on the
+    device, which takes a fraction of the time. In saturated light it is up to 10 of 255 steps off.
 
     Options:
         view: 'neutral' (Khronos PBR Neutral), 'reinhard', 'ocio:VIEW' of the config $OCIO or the built-in ACES 2
             config, 'ocio:VIEW@DISPLAY', or 'FILE.cube,input=SPACE', see `postfx.colour.views.find_view`.
         display: the display to make the picture for, see `Display`. A view that is
             made for one display keeps it: 'neutral' gives srgb, a table the display that it is made for.
+        exact: whether the view is evaluated for every pixel, not looked up in a cube. What is not finite counts as 0,
+            or as the brightest light there is.
 
     Raises ColourError if there is no such view.
     """
 
     name: ClassVar[str] = "view"
 
-    def __init__(self, *, view: str = "neutral", display: str = "srgb", **unknown: Never) -> None:
-        super().__init__(view=view, display=display, **unknown)
-        self._view, self._cube = bake(view, parse_display(display))
+    def __init__(self, view: str = "neutral", *, display: str = "srgb", exact: bool = True, **unknown: Never) -> None:
+        super().__init__(view=view, display=display, exact=exact, **unknown)
+        self._view, self._exact = find_view(view, parse_display(display)), bool(exact)
+        self._view.apply(np.zeros((1, 3)))  # a table is read now, so that a broken one is told before any frame
 
     @property
     def output(self) -> str:
@@ -139,24 +148,44 @@ class View(Pass):
         return self._view.title
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        new = device.heap.tensor
-        kernel, values = form_of(self._cube, device.gpu is not None)
-        self._params, matrix, cube = new("view params", (3,)), new("view matrix", (9,)), new("cube", values.shape)
-        matrix.upload(matrix_between(REC709, self._view.primaries).ravel())
-        cube.upload(values)
+        self._params = device.heap.tensor("view params", (3,))
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
-        tensors = {"params": self._params, "matrix": matrix, "cube": cube, "output": self._output}
-        self._table = ArgumentTable(device.compute_state(kernel), tensors)
+        tensors = {"params": self._params, "output": self._output}
+        if self._exact:
+            self._threads = device.threads
+            state = device.host_state("view", ("colour", "params"), ("output",), self._show)
+        else:
+            kernel, values = form_of(bake(self._view), device.gpu is not None)
+            tensors |= {"matrix": device.heap.tensor("view matrix", (9,)),
+                        "cube": device.heap.tensor("cube", values.shape)}
+            tensors["matrix"].upload(self._matrix().ravel())
+            tensors["cube"].upload(values)
+            state = device.compute_state(kernel)
+        self._table = ArgumentTable(state, tensors)
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         self._params.put(np.array([frame.exposure, TOE, SCALE], np.float32))
         self._table["colour"] = frame[Role.COLOUR]
-        with commands.compute_encoder("cube") as encoder:
+        with commands.compute_encoder("view") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
         frame.set(Role.COLOUR, self._output)
+
+    def _matrix(self) -> np.ndarray:
+        return matrix_between(REC709, self._view.primaries)
+
+    def _show(self, colour: np.ndarray, params: np.ndarray, output: np.ndarray) -> None:
+        matrix, most = self._matrix() * float(params[0]), float(BRIGHTEST)
+
+        def show_rows(first: int) -> None:
+            rows = slice(first, first + ROWS)
+            light = np.nan_to_num(colour[rows].astype(np.float64), posinf=most, neginf=-most) @ matrix.T
+            output[rows] = self._view.apply(np.clip(light, -most, most))
+
+        with ThreadPoolExecutor(self._threads) as workers:
+            list(workers.map(show_rows, range(0, len(colour), ROWS)))
 
 
 def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None = None, **_: object) -> bool:
@@ -165,9 +194,12 @@ def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None =
 
 
 def make_display_passes(
-    is_picture: bool, tonemap: str | None = None, no_tonemap: bool = False, display: str | None = None
+    is_picture: bool, tonemap: str | None = None, no_tonemap: bool = False, display: str | None = None,
+    fast: bool = False
 ) -> tuple[list[Pass], list[Skip]]:
-    """Passes that make pictures for a display, and what is left out. is_picture: the files hold such pictures.
+    """Passes that make pictures for a display, and what is left out.
+
+    is_picture: the files hold such pictures. fast: whether a cube stands in for a view.
 
     Raises ColourError for an unknown display or view.
     """
@@ -178,11 +210,11 @@ def make_display_passes(
     if no_tonemap:
         return [create("display", display=shown_on)], [Skip("tonemap", "--no-tonemap")]
     if tonemap and is_view(tonemap):
-        view = View(view=tonemap, display=shown_on)
+        view = View(view=tonemap, display=shown_on, exact=not fast)
         mapper: Pass = view
         made_for = view.output
     else:
-        mapper = create("tonemap", **({"tag": _find_look(tonemap)} if tonemap else {}))
+        mapper = create("tonemap", **({"look": _find_look(tonemap)} if tonemap else {}))
         made_for = "srgb"
     return [mapper] + ([create("display", display=shown_on)] if made_for != shown_on else []), []
 

@@ -35,7 +35,7 @@ class Oidn(Pass):
 
     name: ClassVar[str] = "oidn"
 
-    def __init__(self, *, quality: str = "high", alpha: bool = True, **unknown: Never) -> None:
+    def __init__(self, quality: str = "high", *, alpha: bool = True, **unknown: Never) -> None:
         super().__init__(quality=quality, alpha=alpha, **unknown)
         if quality not in QUALITIES:
             raise PassOptionError(f"pass 'oidn' has no quality '{quality}': give {', '.join(QUALITIES)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Never
 
 import numpy as np
@@ -110,7 +111,7 @@ class ToneMap(Pass):
     one exposure. A colour cube follows. Looks that depend on colour alone are a cube without a network.
 
     Options:
-        tag: the look, as in ``tonemap.<tag>``, or the file of a model: ``looks/tonemap.mine.onnx``.
+        look: its name, as in ``tonemap.<look>``, or the file of a model: ``looks/tonemap.mine.onnx``.
         keep: part of the last frame's grid or exposure that is kept in steady light, 0 up to (not
             including) 1, by default as the look's card says; less is kept while light changes
             (``postfx.kernels.tonemap``), and none at the first frame and at cuts. Still pictures do not change; 0
@@ -121,8 +122,10 @@ class ToneMap(Pass):
 
     name: ClassVar[str] = "tonemap"
 
-    def __init__(self, *, tag: str = "aces2", keep: float | None = None, **unknown: Never) -> None:
-        super().__init__(tag=tag, keep=keep, **unknown)
+    renamed: ClassVar[Mapping[str, str]] = MappingProxyType({"tag": "look"})
+
+    def __init__(self, look: str = "aces2", *, keep: float | None = None, **unknown: Never) -> None:
+        super().__init__(look=look, keep=keep, **unknown)
         if keep is not None and not 0 <= float(keep) < 1:
             raise PassOptionError(f"pass '{self.name}' keeps 0 to below 1 of the last grid, not {keep}")
 
@@ -134,7 +137,7 @@ class ToneMap(Pass):
         return None if spec.encoding == "scene-linear" else f"colour is {spec.encoding} already"
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        library, model = find_model(str(self.options["tag"]))
+        library, model = find_model(str(self.options["look"]))
         network = device.pipeline_state(library, model)
         made = {binding.name for binding in network.bindings}
         self._kind = next((kind for kind in _KINDS if kind.made in made), None)

@@ -82,7 +82,7 @@ def test_from_files_to_files(nodes, tmp_path):
     assert files == str(tmp_path / "clean.####.exr") and len(list(tmp_path.iterdir())) == 2
     pictures = call(nodes, "PostfxFramesToImages", frames=call(nodes, "PostfxLook", frames=clean))
     assert pictures.shape == (2, 360, 640, 3) and pictures.dtype is torch.float32
-    pipeline = Pipeline([DenoiseUpscale(scale=2, model="s"), ToneMap(tag="aces2")])
+    pipeline = Pipeline([DenoiseUpscale(scale=2, model="s"), ToneMap(look="aces2")])
     for picture, frame in zip(pictures, postfx.read_sequence(ROOM, frames="1-2"), strict=True):
         assert np.array_equal(picture.numpy(), pipeline(frame)[Role.COLOUR])
 

@@ -12,6 +12,7 @@ from postfx.colour import REC709
 from postfx.colour.displays import parse_display, srgb_decode, srgb_encode
 from postfx.errors import OutputExistsError, WriteError
 from postfx.frame import Frame, PartSource, Role
+from postfx.io import writer
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, is_complete, write_frame
 
@@ -269,6 +270,27 @@ def test_exr_headers_are_those_of_openimageio(tmp_path):
     assert ours.keys() == theirs.keys() and len(ours) > 14
     for name, value in ours.items():
         assert np.array_equal(value, theirs[name]) or str(value) == str(theirs[name]), name
+
+
+@pytest.mark.parametrize(("compression", "loses"), [
+    ("htj2k256", False), ("htj2k32", False), ("zstd", False), ("lj2k", True),
+])
+@pytest.mark.parametrize("half", [True, False])
+def test_the_newest_compressions_are_written(tmp_path, compression, loses, half):
+    ramp = np.linspace(0.1, 4, 300 * 70 * 3, dtype=np.float32).reshape(300, 70, 3)
+    light = ramp.astype(np.float16).astype(np.float32) if half else ramp
+    write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: light}), half=half, compression=compression)
+    image = oiio.ImageBuf(str(tmp_path / "a.exr"))
+    assert image.spec()["compression"] == compression
+    difference = np.abs(image.get_pixels(oiio.FLOAT) - light).max()
+    assert difference < 0.05 if loses else difference == 0
+    assert OpenEXR.File(str(tmp_path / "a.exr")).channels()["RGB"].pixels.shape == (300, 70, 3)
+
+
+def test_a_compression_that_openimageio_cannot_write_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(writer, "can_compress", lambda name: name != "zstd")
+    with pytest.raises(WriteError, match=r"--compression zstd: OpenImageIO .* does not write it: install"):
+        write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: np.zeros((2, 2, 3), np.float32)}), compression="zstd")
 
 
 @pytest.mark.parametrize("compression", ["dwaa", "dwab", "dwaa:200"])

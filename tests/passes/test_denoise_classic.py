@@ -137,10 +137,10 @@ from postfx.errors import ModelError
 from postfx.passes.registry import create
 frame = next(iter(postfx.read_sequence({str(ROOM / 'noisy.####.exr')!r})))
 for look in ("aces2", "agx", "pbr_neutral"):
-    print(look, Pipeline([create("tonemap", tag=look)], exposure=0.0)(frame)[Role.COLOUR].astype(float).sum())
+    print(look, Pipeline([create("tonemap", look=look)], exposure=0.0)(frame)[Role.COLOUR].astype(float).sum())
 if len(sys.argv) > 1:
     try:
-        Pipeline([create("tonemap", tag="auto")])(frame)
+        Pipeline([create("tonemap", look="auto")])(frame)
     except ModelError as error:
         assert "are tables" in str(error), error
     with warnings.catch_warnings(record=True) as told:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.colour import REC709, matrix_between
+from postfx.colour import ACESCG, REC709, matrix_between, ocio_library
 from postfx.colour.displays import parse_display
 from postfx.colour.ocio import file_transform, view_transform
-from postfx.colour.views import bake, find_view, is_view
+from postfx.colour.views import find_view, is_view
 from postfx.errors import ColourError
 from postfx.frame import Frame, Role
 from postfx.passes.display import View
@@ -47,8 +47,8 @@ def scene(side: int = 128) -> np.ndarray:
     return (light[..., None] * patches.repeat(side // 8, 0).repeat(side // 8, 1)).astype(np.float32)
 
 
-def through(view: str, display: str, device: Device, light: np.ndarray, ev: float = 0.0) -> Frame:
-    return Pipeline([View(view=view, display=display)], device, exposure=ev)(Frame({Role.COLOUR: light}))
+def through(view: str, display: str, device: Device, light: np.ndarray, ev: float = 0.0, exact: bool = False) -> Frame:
+    return Pipeline([View(view=view, display=display, exact=exact)], device, exposure=ev)(Frame({Role.COLOUR: light}))
 
 
 def by_ocio(light: np.ndarray, display: str) -> np.ndarray:
@@ -81,6 +81,48 @@ def test_aces_views_are_those_of_opencolorio(display: str, device: Device) -> No
     assert_near(found[Role.COLOUR], by_ocio(scene(), display), display, psnr=58, mean=0.4, most=2.5)
 
 
+@pytest.mark.parametrize("display", ACES)
+@pytest.mark.parametrize("ev", [0.0, 4.0])
+def test_an_exact_view_is_opencolorio_itself_in_saturated_light_too(display: str, ev: float, device: Device) -> None:
+    found = through("ocio:", display, device, scene() / 8, ev=3.0 + ev, exact=True)
+    assert found.encoding == str(parse_display(display))
+    assert np.abs(found[Role.COLOUR] - by_ocio(scene() * np.float32(2**ev), display)).max() < 0.5 / 255
+
+
+def test_the_cube_is_off_where_the_exact_view_is_not(device: Device) -> None:
+    bright = np.random.default_rng(10).random((24, 32, 3)) @ matrix_between(ACESCG, REC709).T * 16
+    light = bright.astype(np.float32)
+    fast, exact = (through("ocio:", "srgb", device, light, exact=exact)[Role.COLOUR] for exact in (False, True))
+    assert 2 / 255 < np.abs(fast - exact).max() < 16 / 255
+
+
+def test_exact_is_what_a_pass_does_by_itself(device: Device) -> None:
+    by_default = Pipeline([View(view="ocio:")], device, exposure=0.0)(Frame({Role.COLOUR: scene()}))
+    wanted = through("ocio:", "srgb", device, scene(), exact=True)
+    np.testing.assert_array_equal(by_default[Role.COLOUR], wanted[Role.COLOUR])
+
+
+def test_without_the_package_openimageio_gives_the_same_colours(monkeypatch: pytest.MonkeyPatch) -> None:
+    light = scene() @ matrix_between(REC709, ACESCG).T
+    by_package = view_transform("", parse_display("srgb")).apply(light)
+    monkeypatch.setattr(ocio_library, "is_installed", lambda: False)
+    ocio_library.load.cache_clear()
+    try:
+        by_openimageio = view_transform("", parse_display("srgb")).apply(light)
+        with pytest.raises(ColourError, match="none.ocio: not a readable OpenColorIO config"):
+            ocio_library.load("none.ocio")
+    finally:
+        ocio_library.load.cache_clear()
+    assert np.abs(by_package - by_openimageio).max() < 1e-4
+
+
+def test_the_packages_newer_configs_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    newest = OCIO.BuiltinConfigRegistry().getBuiltinConfigs()
+    name = next(name for name, *_ in newest if name.startswith("studio-config-v5"))
+    monkeypatch.setenv("OCIO", f"ocio://{name}")
+    assert view_transform("", parse_display("srgb")).title.startswith("ACES 2")
+
+
 def test_neutral_and_reinhard_are_their_formulas(device: Device) -> None:
     for name, display in (("neutral", "srgb"), ("reinhard", "srgb"), ("reinhard", "p3"), ("reinhard", "pq,peak=4000")):
         view = find_view(name, parse_display(display))
@@ -104,12 +146,13 @@ def test_grey_stays_grey_and_brighter_stays_brighter(device: Device) -> None:
         assert np.diff(found[:, 1]).min() > -1e-6
 
 
-def test_bad_pixels_are_black_or_white(device: Device) -> None:
+@pytest.mark.parametrize("exact", [True, False])
+def test_bad_pixels_are_black_or_white(device: Device, exact: bool) -> None:
     """In blocks that are too large to be repaired."""
     light = np.full((6, 24, 3), 0.18, np.float32)
     light[:, 6:12], light[:, 12:18], light[:, 18:] = np.nan, np.inf, -5
     for name in ("neutral", "reinhard", "ocio:"):
-        found = through(name, "srgb", device, light)[Role.COLOUR][3]
+        found = through(name, "srgb", device, light, exact=exact)[Role.COLOUR][3]
         assert found[9].max() < 1e-3 and found[15].min() > 0.98 and found[21].max() < 1e-3
 
 
@@ -159,7 +202,7 @@ def test_views_that_are_not_there(text: str, display: str, message: str) -> None
 
 
 def test_views_are_found_by_part_of_their_name_and_by_display() -> None:
-    assert bake("ocio:rec.2020 4000", parse_display("pq"))[0].display.peak == 4000
+    assert find_view("ocio:rec.2020 4000", parse_display("pq")).display.peak == 4000
     view = find_view("ocio:SDR@Display P3 - Display", parse_display("rec2020"))
     assert view.title.startswith("ACES 2.0 - SDR 100 nits (P3 D65)") and str(view.display) == "p3"
     assert is_view("ocio:x") and is_view("a.cube,input=b") and not is_view("aces2")

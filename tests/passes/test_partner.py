@@ -145,7 +145,8 @@ def test_values_that_are_no_numbers_spoil_nothing(device: Device) -> None:
     bad = picture(diffuse_albedo=even(0.5), normal=even(0.5))
     for role, value in ((Role.COLOUR, np.nan), (Role.COLOUR, np.inf), (Role.DIFFUSE_ALBEDO, np.nan)):
         bad.planes[role][3, 4] = value
-    result = Pipeline([Oidn()], device, exposure=0.0).on_device(bad.planes, 1.0)  # where nothing is repaired before
+    pipeline = Pipeline([Oidn()], device, exposure=0.0)
+    result = pipeline.on_device(bad.planes, exposure=0.0)  # where nothing is repaired before
     assert np.isfinite(result[Role.COLOUR].download()).all()
 
 

@@ -12,12 +12,13 @@ IMPORTS = "import postfx; from postfx.passes.display import Display"
 CASES = {
     'postfx.DenoiseUpscale(scale=1.5, size=None, model="s", strength=1, budget=40, reactive="none")': None,
     "postfx.DenoiseUpscale(size=(640, 360))": None,
-    'postfx.ToneMap(tag="aces2", keep=0.5)': None,
-    'Display(display="pq")': None,
+    'postfx.ToneMap(look="aces2", keep=0.5)': None,
+    'postfx.ToneMap("agx")': None,
+    'Display("pq")': None,
     'postfx.DenoiseUpscale(scale="two")': "scale",
     "postfx.DenoiseUpscale(scle=2.0)": "scle",
     'postfx.DenoiseUpscale(scle="two")': "scle",
-    "postfx.ToneMap(tag=1)": "tag",
+    "postfx.ToneMap(look=1)": "look",
     "Display(peak=1000)": "peak",
     "postfx.Overlay(over=True)": "over",
 }
@@ -28,7 +29,7 @@ CASES = {
 def test_the_signature_names_every_option_with_its_default(name):
     found = registry.load(name)
     named = {option.name: option.default for option in signature(found).parameters.values()
-             if option.kind is Parameter.KEYWORD_ONLY}
+             if option.kind in (Parameter.KEYWORD_ONLY, Parameter.POSITIONAL_OR_KEYWORD)}
     assert named == dict(found.defaults)
 
 

@@ -53,17 +53,17 @@ def test_mid_grey_and_highlights_land_where_the_look_puts_them(
     device: Device, tag: str, grey: float, slack: float
 ) -> None:
     """ACES 2 puts mid grey at 0.349 of the sRGB signal, behind 0.75 stops of gain at 0.44."""
-    found = tone_map(np.full((90, 160, 3), 0.18, np.float32), device, tag=tag)
+    found = tone_map(np.full((90, 160, 3), 0.18, np.float32), device, look=tag)
     np.testing.assert_allclose(found, grey, atol=slack)
-    assert tone_map(np.full((90, 160, 3), 64.0, np.float32), device, tag=tag).min() > 0.85
-    assert tone_map(np.zeros((90, 160, 3), np.float32), device, tag=tag).max() < 0.03
+    assert tone_map(np.full((90, 160, 3), 64.0, np.float32), device, look=tag).min() > 0.85
+    assert tone_map(np.zeros((90, 160, 3), np.float32), device, look=tag).max() < 0.03
 
 
 @pytest.mark.parametrize(("tag", "tint"), [("aces2", 1e-5), ("agx", 1e-3), ("pbr_neutral", 1e-5), ("local", 0.05),
                                            ("auto", 1e-5)])
 def test_grey_stays_grey_and_brighter_stays_brighter(device: Device, tag: str, tint: float) -> None:
     ramp = np.exp2(np.linspace(-7, 5, 640, dtype=np.float32)) * 0.18
-    out = tone_map(np.ascontiguousarray(np.broadcast_to(ramp[None, :, None], (360, 640, 3))), device, tag=tag)
+    out = tone_map(np.ascontiguousarray(np.broadcast_to(ramp[None, :, None], (360, 640, 3))), device, look=tag)
     assert (out.max(2) - out.min(2)).max() < tint
     luminance = out[180] @ np.float32([0.2126, 0.7152, 0.0722])
     assert np.diff(luminance).min() > -1 / 255
@@ -73,7 +73,7 @@ def test_grey_stays_grey_and_brighter_stays_brighter(device: Device, tag: str, t
 def test_light_outside_rec709_is_not_cut(device: Device) -> None:
     """A green of Rec.2020, whose red is negative in Rec.709, differs from the green that cutting would make of it."""
     green = np.full((8, 8, 3), [-0.2, 0.4, 0.0], np.float32)
-    assert np.abs(tone_map(green, device, tag="agx") - tone_map(np.maximum(green, 0), device, tag="agx")).max() > 0.02
+    assert np.abs(tone_map(green, device, look="agx") - tone_map(np.maximum(green, 0), device, look="agx")).max() > 0.02
 
 
 def test_very_bright_colours_keep_their_hue(device: Device) -> None:
@@ -84,7 +84,7 @@ def test_very_bright_colours_keep_their_hue(device: Device) -> None:
 
 def test_a_look_can_be_a_file(device: Device) -> None:
     path = models_dir() / "tonemap.agx.onnx"
-    np.testing.assert_array_equal(tone_map(scene(), device, tag=str(path)), tone_map(scene(), device, tag="agx"))
+    np.testing.assert_array_equal(tone_map(scene(), device, look=str(path)), tone_map(scene(), device, look="agx"))
 
 
 def test_exposure_scales_the_scene_before_the_look(device: Device) -> None:
@@ -96,7 +96,7 @@ def test_bad_pixels_stay_where_they_are(device: Device) -> None:
     colour = scene()
     bad = colour.copy()
     bad[10, 10], bad[50, 60], bad[70, 100] = np.nan, np.inf, -5.0
-    out, clean = (tone_map(x, device, tag="local") for x in (bad, colour))
+    out, clean = (tone_map(x, device, look="local") for x in (bad, colour))
     assert np.isfinite(out).all()
     touched = np.abs(out - clean).max(2) > 0.02
     assert set(map(tuple, np.argwhere(touched))) <= {(10, 10), (50, 60), (70, 100)}
@@ -104,13 +104,13 @@ def test_bad_pixels_stay_where_they_are(device: Device) -> None:
 
 def test_works_at_sizes_around_the_low_resolution_copy(device: Device) -> None:
     for height, width in ((1, 1), (3, 700), (256, 256), (301, 255)):
-        out = tone_map(np.full((height, width, 3), 0.18, np.float32), device, tag="local")
+        out = tone_map(np.full((height, width, 3), 0.18, np.float32), device, look="local")
         np.testing.assert_allclose(out, 0.44, atol=0.06)
 
 
 @pytest.mark.parametrize("tag", ["local", "auto"])
 def test_a_still_picture_gives_the_same_bits_every_frame(device: Device, tag: str) -> None:
-    pipeline = Pipeline([ToneMap(tag=tag)], device, exposure=0.0)
+    pipeline = Pipeline([ToneMap(look=tag)], device, exposure=0.0)
     first = pipeline(frame(scene()))[Role.COLOUR].copy()
     for number in range(2, 12):
         np.testing.assert_array_equal(pipeline(frame(scene(), number=number))[Role.COLOUR], first)
@@ -122,7 +122,7 @@ def test_the_grid_follows_slowly_and_at_once_at_cuts(device: Device) -> None:
     turned = np.ascontiguousarray(given[:, ::-1])
 
     def after(keep: float, **values: object) -> np.ndarray:
-        pipeline = Pipeline([ToneMap(tag="local", keep=keep)], device, exposure=0.0, cuts="none")
+        pipeline = Pipeline([ToneMap(look="local", keep=keep)], device, exposure=0.0, cuts="none")
         pipeline(frame(given))
         return pipeline(frame(turned, **values))[Role.COLOUR]
 
@@ -133,7 +133,7 @@ def test_the_grid_follows_slowly_and_at_once_at_cuts(device: Device) -> None:
 
 
 def steady(tag: str, device: Device) -> Pipeline:
-    return Pipeline([ToneMap(tag=tag)], device, exposure=0.0, cuts="none")
+    return Pipeline([ToneMap(look=tag)], device, exposure=0.0, cuts="none")
 
 
 def kept_of(pipeline: Pipeline) -> np.ndarray:
@@ -148,7 +148,7 @@ def test_looks_follow_a_step_of_light(device: Device, tag: str, frames: int, sto
     stepped = light.copy()
     stepped[:, 40:] *= 2.0**stops
     pipeline(frame(light))
-    made, wanted = [], tone_map(stepped, device, tag=tag)
+    made, wanted = [], tone_map(stepped, device, look=tag)
     for _ in range(frames):
         made.append(pipeline(frame(stepped))[Role.COLOUR].copy())
     way = np.array([np.abs(picture - wanted).mean() for picture in made])
@@ -195,7 +195,7 @@ def test_a_recalled_history_goes_on_with_the_same_bits_amid_a_change(device: Dev
 @pytest.mark.parametrize("tag", ["aces2", "local", "auto"])
 def test_portable_kernels_give_the_same_picture(device: Device, tag: str) -> None:
     portable = Device("cpu", threads=2, compiled_kernels=False)
-    np.testing.assert_allclose(tone_map(scene(), portable, tag=tag), tone_map(scene(), device, tag=tag), atol=1e-5)
+    np.testing.assert_allclose(tone_map(scene(), portable, look=tag), tone_map(scene(), device, look=tag), atol=1e-5)
 
 
 def test_skips_what_is_for_a_display_already() -> None:
@@ -212,7 +212,7 @@ def test_options_that_cannot_be_are_refused(device: Device) -> None:
         with pytest.raises(PassOptionError, match="keep"):
             ToneMap(keep=keep)
     with pytest.raises(ModelError, match="tonemap.sepia"):
-        ToneMap(tag="sepia").compile(device, SPEC)
+        ToneMap(look="sepia").compile(device, SPEC)
 
 
 def test_display_encodes_exposed_light_and_cuts_it_at_one(device: Device) -> None:

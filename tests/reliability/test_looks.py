@@ -36,7 +36,7 @@ def refused(tmp_path, device):
         marked = {name: {"constant": name in constant} for name in outputs}
         (tmp_path / "bad.json").write_text(json.dumps({"shaper": SHAPER, "outputs": marked, **(card or {})}))
         with pytest.raises(ModelError) as caught:
-            ToneMap(tag=str(tmp_path / "bad.onnx")).compile(device, SPEC)
+            ToneMap(look=str(tmp_path / "bad.onnx")).compile(device, SPEC)
         assert "\n" not in str(caught.value) and "bad" in str(caught.value)
         return str(caught.value)
 

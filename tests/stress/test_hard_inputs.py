@@ -22,8 +22,8 @@ from tests.stress.scenes import ROOM, SIZES, held, on, pipeline
 UNSCALED = "".join(size for size in "sml" if f"denoise_upscale.{size}.1x" in Library().names())
 """Sizes of the networks that have one of their own for 1x."""
 DISPLAYS = {
-    "tonemap": lambda: ToneMap(), "tonemap, a network": lambda: ToneMap(tag="local"),
-    "tonemap, a network that exposes": lambda: ToneMap(tag="auto"), "view": lambda: View(),
+    "tonemap": lambda: ToneMap(), "tonemap, a network": lambda: ToneMap(look="local"),
+    "tonemap, a network that exposes": lambda: ToneMap(look="auto"), "view": lambda: View(),
     "view for HDR": lambda: View(view="reinhard", display="pq"), "display": lambda: Display(),
     "display for HDR": lambda: Display(display="hlg"),
 }

@@ -59,7 +59,7 @@ def test_all_of_the_history(
 @pytest.mark.parametrize("tag", ["local", "auto"])
 def test_what_the_tone_mapper_holds(tag: str, value: float, rooms: list[Frame], device: Device) -> None:
     """As if there was none before, at once."""
-    chain = Pipeline([ToneMap(tag=tag)], device, 0.0, cuts="none")
+    chain = Pipeline([ToneMap(look=tag)], device, 0.0, cuts="none")
     frames = [Frame({Role.COLOUR: frame[Role.COLOUR]}, number) for number, frame in enumerate(rooms[:3])]
     fresh = chain(frames[2])[Role.COLOUR]
     chain.reset()

@@ -110,7 +110,7 @@ def test_tone_mapping_with_a_network_nearly_turns_with_the_picture(
     name: str, rooms: list[Frame], device: Device
 ) -> None:
     """Its grid of 16 x 16 cells looks at the layout of the picture, too."""
-    chain = Pipeline([ToneMap(tag="local", keep=0.0)], device, exposure=0.0, cuts="none")
+    chain = Pipeline([ToneMap(look="local", keep=0.0)], device, exposure=0.0, cuts="none")
     frame, picture = Frame({Role.COLOUR: rooms[0][Role.COLOUR]}), TURNS[name][0]
     error = np.abs(chain(turned(frame, name))[Role.COLOUR] - picture(chain(frame)[Role.COLOUR]))
     assert error.max() < TONE[0] and error.mean() < TONE[1]

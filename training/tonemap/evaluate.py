@@ -153,7 +153,7 @@ class Mapper:
         """The look of the next frame of a sequence, which is already exposed."""
         size = frame[Role.COLOUR].shape
         if size not in self._pipelines:
-            passes = [ToneMap(tag=self._tag, keep=self._keep)]
+            passes = [ToneMap(look=self._tag, keep=self._keep)]
             self._pipelines[size] = Pipeline(passes, self._device, exposure=0.0, cuts="none")
         return self._pipelines[size](frame)[Role.COLOUR].copy()
 

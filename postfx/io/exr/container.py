@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -402,8 +402,10 @@ class PlainReader:
 
 
 COMPRESSIONS = {0: "none", 1: "rle", 2: "zips", 3: "zip", 4: "piz", 5: "pxr24", 6: "b44", 7: "b44a", 8: "dwaa",
-                9: "dwab"}
+                9: "dwab", 10: "htj2k256", 11: "htj2k32", 12: "lj2k", 13: "zstd"}
 """OpenEXR's numbers of compressions."""
+_NEW = 10
+"""The first that OpenImageIO may not know, by the OpenEXR that it was made with; it writes ZIP in their place."""
 NONE, ZIPS, ZIP = 0, 2, 3
 PLAIN = NONE, ZIPS, ZIP
 """Those that are read and written here."""
@@ -459,6 +461,24 @@ def picture_part(header: Header, read: Rows, apart: bool = False) -> NewPart:
     """
     chunks = _plain_chunks(header, read, apart) if header.compression in PLAIN else _library_chunks(header, read)
     return NewPart(header, count_chunks(header), chunks)
+
+
+@cache
+def can_compress(name: str) -> bool:
+    """Whether OpenImageIO writes a compression of `COMPRESSIONS`."""
+    number = next(number for number, known in COMPRESSIONS.items() if known == name)
+    if number < _NEW:
+        return True
+    spec = oiio.ImageSpec(1, 1, 1, "half")
+    spec.attribute("compression", name)
+    with memory_file(".exr") as path:
+        output = oiio.ImageOutput.create("exr")
+        if output is None or not (output.open(str(path), spec) and output.write_image(np.zeros((1, 1, 1), np.float32))):
+            return False
+        output.close()
+        with open(path, "rb") as file:
+            _, (made,) = read_headers(file)
+        return made.compression == number
 
 
 def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:

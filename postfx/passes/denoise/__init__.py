@@ -111,7 +111,7 @@ class DenoiseUpscale(Pass):
 
     name: ClassVar[str] = "denoise_upscale"
 
-    def __init__(self, *, scale: float | None = None, size: Sequence[int] | None = None, model: str = "m",
+    def __init__(self, scale: float | None = None, *, size: Sequence[int] | None = None, model: str = "m",
                  strength: float = 1.0, budget: float | None = None, reactive: str = "auto",
                  parts: Sequence[Part | str] = (), part_filters: str = "picture", alpha: bool = True,
                  error: bool = False, library: Library | str | Path | None = None, **unknown: Never) -> None:

@@ -72,7 +72,7 @@ def teach_here(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
 
 def psnr_of(model: Path, light: np.ndarray, wanted: np.ndarray) -> float:
     """Of what the run-time makes with a model."""
-    pipeline = Pipeline([ToneMap(tag=str(model))], Device("cpu"), exposure=0.0)
+    pipeline = Pipeline([ToneMap(look=str(model))], Device("cpu"), exposure=0.0)
     found = pipeline(Frame({Role.COLOUR: light}))[Role.COLOUR]
     return float(-10 * np.log10(np.square(found - wanted).mean()))
 
@@ -172,7 +172,7 @@ def test_an_exposure_is_learnt_and_exported(tmp_path: Path, monkeypatch: pytest.
     model, light = tmp_path / "run" / "tonemap.mine.onnx", picture(1)
     card = json.loads(model.with_suffix(".json").read_text())
     assert card["outputs"]["stops"]["shape"] == [1, 1] and card["keep"] == 0.98
-    pipeline = Pipeline([ToneMap(tag=str(model), keep=0.0)], Device("cpu"), exposure=0.0)
+    pipeline = Pipeline([ToneMap(look=str(model), keep=0.0)], Device("cpu"), exposure=0.0)
     dim, bright = (pipeline(Frame({Role.COLOUR: light * np.float32(gain)}))[Role.COLOUR].copy() for gain in (1, 4))
     assert dim.std() > 0.05
     np.testing.assert_allclose(bright, dim, atol=0.01)

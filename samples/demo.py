@@ -1,0 +1,122 @@
+"""What `make demo` runs: the sample sequence, noisy frames to pictures, a video and a page that shows them.
+
+python samples/demo.py [FOLDER]
+
+Says before each step how long it may take, and after it how long it took.
+"""
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from shutil import copyfile
+
+import numpy as np
+from pictures import beside, crops, split, write_animation
+
+import postfx
+from postfx import oidn
+from postfx.frame import Frame, Role
+
+HERE = Path(__file__).parent
+ROOM = HERE / "room"
+SHOWCASE = HERE.parent / "docs/images/showcase.jpg"
+SCALE = 2
+FRAMES_A_SECOND = 8
+PLACES = ((90, 200), (330, 90))
+"""Left upper corners of the enlarged crops, in pixels of the result."""
+SIDE, ZOOM = 80, 4
+PAGE = """<!doctype html><meta charset="utf-8"><title>postfx: the demo</title>
+<style>
+  body {{ font: 16px system-ui; margin: 2em auto; max-width: 1000px; background: #222; color: #eee }}
+  img {{ max-width: 100% }}
+</style>
+<h1>Made on this machine, in {seconds:.0f} s</h1>
+<p>Frame {number}: as rendered, at 4 samples a pixel and half the size, and the result.</p><img src="before_after.png">
+<p>Enlarged: {columns}.</p><img src="crops.png">
+<p>All frames, as rendered and denoised:</p><img src="video.png">
+{showcase}<p>The files beside this page: <code>clean.*.exr</code> (scene-linear) and <code>picture.*.png</code>.</p>
+"""
+SHOWN = """<h1>A product shot from Blender</h1>
+<p>960x540, 4 samples a pixel, denoised at its own size (docs/gallery.md):</p><img src="showcase.jpg">
+"""
+
+
+def main(argv: list[str]) -> None:
+    """Make everything; prints what it does."""
+    out, began = Path(argv[0] if argv else "out/demo"), time.perf_counter()
+    out.mkdir(parents=True, exist_ok=True)
+    shot = list(postfx.read_sequence(ROOM / "noisy.####.exr"))
+    denoise = postfx.Pipeline([postfx.DenoiseUpscale(scale=SCALE)], exposure="metadata")
+    show = postfx.Pipeline([postfx.ToneMap()], exposure="metadata")
+    with step("2 of 4", "first frame: compiles kernels, up to a minute the first time, then a second"):
+        clean = [denoise(shot[0])]
+        shown = [show(clean[0])]
+    with step("3 of 4", f"{len(shot) - 1} more frames: some seconds"):
+        clean += map(denoise, shot[1:])
+        shown += map(show, clean[1:])
+    with step("4 of 4", "files, crops and the video: some seconds"):
+        before = [enlarge(show(frame)[Role.COLOUR]) for frame in shot]
+        after = [frame[Role.COLOUR] for frame in shown]
+        for frame, light in zip(shown, clean, strict=True):
+            postfx.write_frame(out / f"clean.{frame.number:04d}.exr", light)
+            postfx.write_frame(out / f"picture.{frame.number:04d}.png", frame)
+        columns = compare(out, before[-1], after[-1], shot[-1], show)
+        animate(out, before, after)
+    if SHOWCASE.exists():
+        copyfile(SHOWCASE, out / SHOWCASE.name)
+    page = PAGE.format(seconds=time.perf_counter() - began, number=shot[-1].number, columns=", ".join(columns),
+                       showcase=SHOWN if SHOWCASE.exists() else "")
+    (out / "index.html").write_text(page, encoding="utf-8")
+    print(f"\nOpen {out / 'index.html'}. The same by two commands:")
+    print(f"  postfx run samples/room/noisy.####.exr -o {out}/clean.####.exr --scale {SCALE}")
+    print(f"  postfx run {out}/clean.####.exr -o {out}/picture.####.png --no-denoise")
+
+
+@contextmanager
+def step(number: str, what: str) -> Iterator[None]:
+    """Say what is done and, after it, how long it took."""
+    print(f"{number}  {what} ...", flush=True)
+    began = time.perf_counter()
+    yield
+    print(f"        {time.perf_counter() - began:.1f} s", flush=True)
+
+
+def enlarge(picture: np.ndarray) -> np.ndarray:
+    """A picture at the result's size, by repeating pixels."""
+    return picture.repeat(SCALE, 0).repeat(SCALE, 1)
+
+
+def compare(out: Path, before: np.ndarray, after: np.ndarray, noisy: Frame, show: postfx.Pipeline) -> list[str]:
+    """Write a frame before and after, and enlarged crops; returns what the crops' columns show."""
+    reference = next(iter(postfx.read_sequence(ROOM / f"reference.{noisy.number:04d}.exr")))
+    columns = {"as rendered": before}
+    if oidn.is_installed():
+        alone = postfx.Pipeline([postfx.Oidn()], exposure="metadata")(noisy)
+        columns["Open Image Denoise"] = enlarge(show(alone)[Role.COLOUR])
+    columns |= {"postfx": after, "192 samples a pixel": show(reference)[Role.COLOUR]}
+    write(out / "before_after.png", split(before, after))
+    write(out / "crops.png", crops(list(columns.values()), PLACES, SIDE, ZOOM))
+    return list(columns)
+
+
+def animate(out: Path, before: list[np.ndarray], after: list[np.ndarray]) -> None:
+    """Write all frames before and after, there and back, as a video."""
+    files = []
+    for number, pair in enumerate(zip(before, after, strict=True)):
+        files.append(out / f"video.{number}.png")
+        write(files[-1], beside(pair))
+    write_animation(out / "video.png", files + files[-2:0:-1], FRAMES_A_SECOND)
+    for file in files:
+        file.unlink()
+
+
+def write(path: Path, picture: np.ndarray) -> None:
+    """Write code values (height, width, 3) of an sRGB display."""
+    postfx.write_frame(path, Frame({Role.COLOUR: np.ascontiguousarray(picture, np.float32)}, encoding="srgb"))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
