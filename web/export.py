@@ -2,14 +2,16 @@
 
 python web/export.py FOLDER
 
-`denoise.1x.onnx` and `denoise.2x.onnx` hold the network `s` and the portable kernels around it, in the order of
+`denoise.NETWORK.1x.onnx` and `.2x.onnx` hold a network, `s` or `m`, and the portable kernels around it, in the order of
 `postfx.passes.denoise.network`. They read the planes of a frame without a history and give its clean colour; any ONNX
 Runtime runs them, for frames of any size. `look.NAME.onnx` is a look that depends on colour alone.
 """
 
 from __future__ import annotations
 
+import json
 import sys
+from base64 import b64decode
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,18 +20,18 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from postfx.kernels.denoise import FEATURES, HIDDEN
-from postfx.passes.denoise.models import doubts_planes
+from postfx.passes.denoise.models import doubts_planes, grid_of
 from postfx.passes.denoise.network import FEATURE_PARTS
 from postfx.passes.denoise.tiling import LEVELS
 from postfx.passes.tonemap import find_model, shaper
+from postfx.runtime.session import CONSTANTS
 from postfx.system import models_dir
 
 PLANES = {"colour": 3, "diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1, "depth": 1,
           "motion": 2}
 """Inputs of a denoiser, (h, w, channels)."""
+NETWORKS = ("s", "m")
 LOOKS = ("aces2", "agx", "pbr_neutral")
-GRID = 16
-"""Render pixels that the padded sides are multiples of: a cell of the coarsest level."""
 OPSET = 20
 
 
@@ -94,14 +96,14 @@ class Graph:
 class Places:
     """What the kernels read beside the planes: sizes, and which pixels a row or column means, made in the graph."""
 
-    def __init__(self, graph: Graph, colour: str, scale: int) -> None:
+    def __init__(self, graph: Graph, colour: str, scale: int, grid: int) -> None:
+        """grid: render pixels that the sides which the network sees are multiples of."""
         self._graph = graph
         size = graph.op("Shape", colour)
         sides = [graph.op("Gather", size, graph.constant(axis)) for axis in (0, 1)]
         self.sides = sides
         self.outputs = [graph.op("Mul", side, graph.constant(scale)) for side in sides]
-        add, grid = graph.constant(GRID - 1), graph.constant(GRID)
-        self.padded = [graph.op("Mul", graph.op("Div", graph.op("Add", side, add), grid), grid) for side in sides]
+        self.padded = [graph.op("Mul", self._over(side, grid), graph.constant(grid)) for side in sides]
 
     def counted(self, side: str, times: int = 1, over: int = 1) -> str:
         """0, 1, ... before `side`, in floats, times a number or divided by one and rounded down."""
@@ -119,12 +121,16 @@ class Places:
 
     def level(self, axis: int, i: int) -> str:
         """Side of a pyramid level."""
-        return self._graph.op("Div", self.padded[axis], self._graph.constant(2**i))
+        return self._over(self.padded[axis], 2**i)
 
     def area(self, i: int) -> str:
         """Rows and columns of a pyramid level that lie in the frame."""
-        graph, up, by = self._graph, self._graph.constant(2**i - 1), self._graph.constant(2**i)
-        return self.floats(graph.op("Div", graph.op("Add", side, up), by) for side in self.sides)
+        return self.floats(self._over(side, 2**i) for side in self.sides)
+
+    def _over(self, side: str, count: int) -> str:
+        """A side divided by a number and rounded up."""
+        graph = self._graph
+        return graph.op("Div", graph.op("Add", side, graph.constant(count - 1)), graph.constant(count))
 
     def window(self) -> str:
         """The whole frame, as the kernels' `window`."""
@@ -137,6 +143,13 @@ class Places:
         rows = [graph.op("Unsqueeze", number, axis) for number in numbers]  # type: ignore[attr-defined]
         return graph.op("Cast", graph.op("Concat", *rows, axis=0), to=TensorProto.FLOAT)
 
+    def everywhere(self, values: np.ndarray, i: int) -> str:
+        """Values (1, C, 1, 1) in every pixel of a pyramid level: a head that a network does not compute."""
+        graph, axis = self._graph, self._graph.constant([0])
+        sides = [graph.op("Unsqueeze", self.level(side, i), axis) for side in (0, 1)]
+        shape = graph.op("Concat", graph.constant([1, values.shape[1]]), *sides, axis=0)
+        return graph.op("Expand", graph.constant(values, np.float32), shape)
+
     def zeros(self, sides: list[str], channels: int) -> str:
         """(rows, columns, channels) of 0."""
         graph, axis = self._graph, self._graph.constant([0])
@@ -145,10 +158,18 @@ class Places:
         return graph.op("ConstantOfShape", shape, value=helper.make_tensor("", TensorProto.FLOAT, [1], [0.0]))
 
 
-def save_denoiser(path: Path, scale: int) -> None:
-    """Write the denoiser `s` for first frames, of 1x or 2x their size."""
+def constants_of(path: Path) -> dict[str, np.ndarray]:
+    """Outputs of a network that are one value for all pixels, (1, C, 1, 1) by name, from its metadata."""
+    told = {entry.key: entry.value for entry in onnx.load(path).metadata_props}
+    return {name: np.frombuffer(b64decode(one["float32"]), "<f4").reshape(one["shape"])
+            for name, one in json.loads(told.get(CONSTANTS, "{}")).items()}
+
+
+def save_denoiser(path: Path, scale: int, tag: str) -> None:
+    """Write the denoiser `tag` for first frames, of 1x or 2x their size."""
     graph, models = Graph(), models_dir()
-    places = Places(graph, "colour", scale)
+    network = f"denoise_upscale.{tag}.1x" if scale == 1 else f"denoise_upscale.{tag}"
+    places = Places(graph, "colour", scale, grid_of([network]))
     rows, columns = (places.counted(side) for side in places.sides)
     common = {name: name for name in (*PLANES, "params")} | {
         "window": places.window(), "part_rows": rows, "part_columns": columns, "seen_rows": places.mirrored(0),
@@ -170,8 +191,9 @@ def save_denoiser(path: Path, scale: int) -> None:
     assert ends[-1] == FEATURES
     parts = {name: channels(common["features"], first, end, 1)
              for name, first, end in zip(FEATURE_PARTS, ends, ends[1:], strict=False)}
-    network = "denoise_upscale.s.1x" if scale == 1 else "denoise_upscale.s"
     heads = graph.call(models / f"{network}.onnx", **parts)
+    for name, values in constants_of(models / f"{network}.onnx").items():
+        heads[name] = places.everywhere(values, int(name[-1]))
     doubts = doubts_planes(network)
     if doubts:
         common |= kernel("means")
@@ -215,8 +237,9 @@ def save_look(path: Path, tag: str) -> None:
 def main(folder: Path) -> None:
     """Write all models of the page."""
     folder.mkdir(parents=True, exist_ok=True)
-    for scale in (1, 2):
-        save_denoiser(folder / f"denoise.{scale}x.onnx", scale)
+    for network in NETWORKS:
+        for scale in (1, 2):
+            save_denoiser(folder / f"denoise.{network}.{scale}x.onnx", scale, network)
     for tag in LOOKS:
         save_look(folder / f"look.{tag}.onnx", tag)
 

@@ -6,6 +6,8 @@ import { findPlanes, readHeader, readPlane } from "./planes.js";
 const MOST_PIXELS = 1920 * 1080; // of the output: what a browser's memory holds safely
 const $ = (id) => document.getElementById(id);
 const options = $("options").elements;
+const ZOOMS = [...options.zoom.options].map(({ value }) => Number(value)); // pixels of a screen for one of the result; 0: fit
+const MIDDLE = 50; // per cent
 let runtime, frame, clean;
 
 /** Planes of a file as Float32Arrays, with their size and where they came from. */
@@ -56,11 +58,11 @@ async function process() {
 
 async function denoised(scale) {
   try {
-    return await denoise(runtime, frame, 2 ** frame.stops, scale);
+    return await denoise(runtime, frame, 2 ** frame.stops, scale, options.network.value);
   } catch (error) {
     if (runtime.provider !== "webgpu") throw error;
     runtime = await loadRuntime("wasm"); // a driver may lack something
-    return denoise(runtime, frame, 2 ** frame.stops, scale);
+    return denoise(runtime, frame, 2 ** frame.stops, scale, options.network.value);
   }
 }
 
@@ -72,9 +74,10 @@ async function draw() {
     [canvas.width, canvas.height] = [picture.width, picture.height];
     canvas.getContext("2d").putImageData(await show(runtime, picture, exposure, look), 0, 0);
   }
-  $("pictures").hidden = $("save").hidden = false;
+  $("view").hidden = $("hint").hidden = $("save").hidden = false;
   $("save").href = $("after").toDataURL("image/png");
-  options.shown.value = `${(frame.stops + Number(options.stops.value)).toFixed(1)} EV`;
+  tellStops();
+  zoom();
   divide();
   tell(`${frame.width}x${frame.height} to ${clean.width}x${clean.height} in ${frame.seconds.toFixed(1)} s`);
 }
@@ -82,8 +85,39 @@ async function draw() {
 function divide() {
   const share = Number($("split").value);
   $("before").style.clipPath = `inset(0 ${100 - share}% 0 0)`;
-  $("before").style.height = $("line").style.height = `${$("after").clientHeight}px`;
+  $("before").style.height = `${$("after").clientHeight}px`;
   $("line").style.left = `${share}%`;
+}
+
+/** Show the picture as large as the control says; a point of the view, its middle if none is given, stays. */
+function zoom(x = $("view").clientWidth / 2, y = $("view").clientHeight / 2) {
+  const view = $("view"), pictures = $("pictures"), factor = Number(options.zoom.value), old = pictures.clientWidth;
+  pictures.style.width = factor ? `${clean.width * factor / devicePixelRatio}px` : "100%";
+  pictures.classList.toggle("close", factor > 1);
+  const grown = pictures.clientWidth / old;
+  view.scrollTo((view.scrollLeft + x) * grown - x, (view.scrollTop + y) * grown - y);
+  divide();
+}
+
+/** One step of zoom nearer or farther, about a place on the screen. */
+function step(event) {
+  if (!event.ctrlKey || !clean) return;
+  event.preventDefault();
+  const next = ZOOMS.indexOf(Number(options.zoom.value)) + (event.deltaY < 0 ? 1 : -1);
+  if (!(next in ZOOMS)) return;
+  options.zoom.value = ZOOMS[next];
+  const { left, top } = $("view").getBoundingClientRect();
+  zoom(event.clientX - left, event.clientY - top);
+}
+
+/** After the form went back to how the page opened. */
+async function reset() {
+  $("split").value = MIDDLE;
+  if (clean) await process();
+}
+
+function tellStops() {
+  options.shown.value = `${((frame?.stops ?? 0) + Number(options.stops.value)).toFixed(1)} EV`;
 }
 
 function listPlanes() {
@@ -106,9 +140,13 @@ const shown = (work) => work.catch((error) => tell(error.message, "error"));
 
 $("file").addEventListener("change", async ({ target }) => shown(open(await target.files[0].arrayBuffer())));
 $("sample").addEventListener("click", async () => shown(open(await (await fetch("sample.exr")).arrayBuffer())));
-options.scale.addEventListener("change", () => frame && shown(process()));
+for (const name of ["scale", "network"]) options[name].addEventListener("change", () => frame && shown(process()));
 options.look.addEventListener("change", () => clean && shown(draw()));
 options.stops.addEventListener("change", () => clean && shown(draw()));
+options.stops.addEventListener("input", tellStops);
+options.zoom.addEventListener("change", () => clean && zoom());
+$("options").addEventListener("reset", () => setTimeout(() => shown(reset()))); // the form changes after the event
+$("view").addEventListener("wheel", step, { passive: false });
 $("split").addEventListener("input", divide);
 addEventListener("resize", () => clean && divide());
 for (const kind of ["dragover", "dragleave", "drop"]) {

@@ -1,6 +1,6 @@
 // Planes of a frame from an OpenEXR file.
 //
-// three.js's EXRLoader decodes all compressions, but gives channels named R, G, B, A or Y alone. So the header is
+// three.js's EXRLoader decodes most compressions, but gives channels named R, G, B, A or Y alone. So the header is
 // rewritten before each call: the channels of one plane get these names, all others get names that it does not know.
 
 import { EXRLoader } from "three/addons/loaders/EXRLoader.js";
@@ -10,7 +10,9 @@ const MAGIC = 20000630;
 const [MULTI_PART, DEEP] = [16, 8];
 const [UINT, FLOAT] = [0, 2];
 const PIZ = 4; // the loader takes all its channels for one type
-const DWA = [8, 9]; // and these it cannot read where a file has more channels than colour
+// Compressions that cannot be read; of DWA the loader reads colour alone, of the others nothing.
+const UNREAD = { 8: "DWAA", 9: "DWAB", 10: "HTJ2K", 11: "HTJ2K", 12: "LJ2K", 13: "ZSTD" };
+const LAST_READ = 7;
 
 // Plane -> names of its layer, best first, its letters, and what its numbers are multiplied by. "" is no layer.
 const PLANES = {
@@ -138,7 +140,10 @@ function alike(part, names) {
 
 function decode(buffer, parts, index, names) {
   const { compression, channels } = parts[index];
-  if (DWA.includes(compression)) throw new Error("DWA cannot be read here: save the file as ZIP");
+  if (compression > LAST_READ) {
+    const name = UNREAD[compression] ?? `compression ${compression}`;
+    throw new Error(`${name} cannot be read here: save the file as ZIP, or take it to the program`);
+  }
   if (compression === PIZ && !alike(parts[index], channels.map(({ name }) => name))) {
     throw new Error("PIZ of half and float channels in one part cannot be read here: save the file as ZIP");
   }
