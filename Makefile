@@ -55,15 +55,20 @@ windows: export PYTHONPATH = tests/windows
 windows: $(VENV)/installed-dev
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 tests/files tests/io tests/cli tests/reliability
 
-# Wheels and sdist in dist/; this machine's wheel and the sdist are installed and run in a fresh environment of every
-# Python in PYTHONS. The kernels of all targets are compiled here; the first time, Windows takes some minutes.
-release: $(VENV)/installed-dev
+# Wheels and sdist in dist/, conda-forge's recipe in build/recipe.yaml; needs no PyTorch. This machine's wheel and the
+# sdist are installed and run in a fresh environment of every Python in PYTHONS. The kernels of all targets are compiled here; the first time, Windows takes some minutes.
+release: $(VENV)/installed-release
 	rm -rf dist postfx/_kernels
 	for target in $(TARGETS); do POSTFX_TARGET=$$target $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; done
 	$(BIN)/python build_kernels.py
 	$(BIN)/python -m hatchling build -d dist
 	rm -rf postfx/_kernels
+	$(BIN)/python packaging/conda_recipe.py dist/postfx_render-*.tar.gz build/recipe.yaml
 	for python in $(PYTHONS); do .ci/check_release $$python || exit 1; done
+
+$(VENV)/installed-release: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[release]'
+	@touch $@
 
 $(VENV)/installed-docs: pyproject.toml constraints.txt | $(BIN)/python
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[docs]'
