@@ -7,9 +7,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "What it gains",
         "How it is mixed",
     ),
-    "README.md": (
-        "postfx",
-    ),
     "docs/concepts/architecture.md": (
         "Why a kernel has more than one form",
     ),

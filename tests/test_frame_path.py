@@ -25,7 +25,7 @@ from postfx.cli.main import main
 PACKAGE = Path(postfx.__file__).parent
 ROOM = PACKAGE.parent / "samples" / "room"
 OUTPUTS = {"EXR": ("exr", "--tonemap", "neutral"), "PNG": ("png",)}
-MOST = 50
+MOST = 51
 """Files that a steady frame may pass."""
 FIRST, LAST = 4, 6
 """Frames that count: what begins between the first one's passes and the last one's, in any thread."""

@@ -8,7 +8,8 @@
 #
 #   BLENDER     Python with the module bpy and OpenImageIO (default: blender/run)
 #   LIBRARY     glTF scenes, environments/*.hdr and pages/*.png (default: library)
-#   SEED        of the clips: another one for each session, below 9000 (default: 1)
+#   SEED        of the clips: another one for each run, below 9000 (default: 1)
+#   START       checkpoint of published weights (default: made by training.denoise.open_weights from the package pyoidn)
 #   PROCESSES   of Blender (default: 26)
 #
 # With two GPUs the second one renders until the rate falls; with one, rendering ends before the training begins, as a
@@ -37,14 +38,16 @@ CUDA_VISIBLE_DEVICES=0 "$python" -m training.datagen.formula --out "$work/formul
     --seed "$seed" >"$work/logs/formula.log" 2>&1 &
 "$python" -m training.datagen.render "${small[@]}" >"$work/logs/mitsuba.log" 2>&1 &
 "$python" -m training.datagen.render "${views[@]}" >"$work/logs/cycles.log" 2>&1 &
-"$python" -m training.datagen.clean_references "$work/raw" "$work/views" --network models/denoise_upscale.m.1x.onnx \
+start=${START:-$work/start.pt}
+[ -e "$start" ] || "$python" -m training.denoise.open_weights -o "$start"
+"$python" -m training.datagen.clean_references "$work/raw" "$work/views" --network "$start" \
     --watch "$((rendering + 1))" --device "cuda:$renderer" >"$work/logs/clean.log" 2>&1 &
 
 sleep "$((60 * head))"
 left=$((60 * minutes - $(date +%s) + began))
 CUDA_VISIBLE_DEVICES=0 "$python" -m training.denoise.train --clips "$work/views=3" "$work/mitsuba=2" "$work/formula" \
     --out "$work/run" --minutes "$("$python" -c "print($left / 60)")" --cool 0.2 \
-    --residual --widths 32 80 112 144 176 --trust --volumes --batch 16 --crop 128 --rate 5e-4 \
-    --even 16 --clean 0 --reset 0.07 --light 1.5 0.5 --reflectance 0.5 --false-motion 0.1 --sparse-planes 0.15 \
-    --wait 32 ${checkpoint:+--continue "$checkpoint"} >"$work/logs/train.log" 2>&1
+    --picture --published-rate 0.05 --volumes --batch 16 --crop 128 --rate 3e-4 --flicker 2 \
+    --even 4 --clean 0.1 --reset 0.07 --light 1.5 0.5 --false-motion 0.1 --sparse-planes 0.1 --blend 0.5 \
+    --wait 32 $(if [ -n "$checkpoint" ]; then echo --continue "$checkpoint"; else echo --start "$start"; fi) >"$work/logs/train.log" 2>&1
 wait
