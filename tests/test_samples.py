@@ -140,7 +140,7 @@ def test_reading_names_the_planes():
 
 
 def test_all_looks_are_timed():
-    assert run("look_speed.py", "--width", "96", "--height", "64", "--runs", "1").count("all cores") == 5
+    assert run("look_speed.py", "--width", "96", "--height", "64", "--runs", "1").count("all cores") == 7
 
 
 @pytest.mark.skipif(find_spec("pyoidn") is None, reason="pyoidn is not installed")

@@ -193,7 +193,8 @@ def places_inside(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
 def mix_places(plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Bilinear values (count, n) of a plane (rows, columns, n) at places inside."""
     mixed = np.empty((x.size, plane.shape[2]))
-    _mix_places(0, x.size, np.ascontiguousarray(plane, np.float64), x, y, mixed)
+    whole = (np.ascontiguousarray(one, np.float64) for one in (plane, x, y))
+    _mix_places(0, x.size, *whole, mixed)
     return mixed
 
 

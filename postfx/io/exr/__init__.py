@@ -93,7 +93,9 @@ class Header:
     @property
     def channels(self) -> list[ChannelInfo]:
         """Channels in the order of the file, which is that of their names."""
-        stored, found, at = self._value("channels"), [], 0
+        stored = self._value("channels")
+        found: list[ChannelInfo] = []
+        at = 0
         while stored[at : at + 1] not in (b"\0", b""):
             end = stored.find(b"\0", at)
             if len(found) >= MAX_CHANNELS:
