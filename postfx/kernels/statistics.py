@@ -27,6 +27,12 @@ Divide = Callable[[Callable[[int, int], None], int], None]
 _lent: ContextVar[Divide | None] = ContextVar("divide", default=None)
 
 
+def whole(array: np.ndarray, dtype: type) -> np.ndarray:
+    """The array without gaps, at an address that its numbers may have: those of a file's bytes may lie anywhere."""
+    found: np.ndarray = np.require(array, dtype, ("C_CONTIGUOUS", "ALIGNED"))
+    return found
+
+
 @contextmanager
 def lend(divide: Divide | None) -> Iterator[None]:
     """Let `share` divide work by `divide(rows, count)`, which runs `rows(first, last)` in several threads."""
@@ -60,7 +66,7 @@ _is_same_plane = Rows("is_same_plane")
 def largest_bits_of(plane: np.ndarray) -> int:
     """The largest bits of the numbers of a plane (height, ...) of float32, without their signs, on the threads that are
     lent if it is worth that."""
-    bits = np.ascontiguousarray(plane, np.float32).view(np.uint32)
+    bits = whole(plane, np.float32).view(np.uint32)
     divides = bits.nbytes >= 2 * WORTH and _lent.get()
     rows = bits.reshape(len(bits) if divides else 1, -1)
     largest = np.empty(len(rows), np.uint32)
@@ -76,14 +82,14 @@ def is_finite(plane: np.ndarray) -> bool:
 def is_blank(plane: np.ndarray) -> bool:
     """Whether all numbers of a plane of float32 are 0."""
     found = np.empty(1, bool)
-    _is_blank(0, 1, np.ascontiguousarray(plane, np.float32).view(np.uint32).reshape(-1), found)
+    _is_blank(0, 1, whole(plane, np.float32).view(np.uint32).reshape(-1), found)
     return bool(found[0])
 
 
 def is_same_plane(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether all numbers of two planes of float32 and of one size are the same, or NaN in both."""
     found = np.empty(1, bool)
-    _is_same_plane(0, 1, *(np.ascontiguousarray(plane, np.float32).reshape(-1) for plane in (one, other)), found)
+    _is_same_plane(0, 1, *(whole(plane, np.float32).reshape(-1) for plane in (one, other)), found)
     return bool(found[0])
 
 
@@ -105,7 +111,7 @@ def block_means(colour: np.ndarray, side: int) -> np.ndarray:
     the logarithm that follows, which would read it as darkness; without the brightest pixel a firefly is no light.
     """
     means = np.empty([-(-length // side) for length in colour.shape[:2]])
-    share(_block_means, len(means), np.ascontiguousarray(colour, np.float32), np.array([side]), means)
+    share(_block_means, len(means), whole(colour, np.float32), np.array([side]), means)
     return means
 
 
@@ -117,7 +123,7 @@ def half_means(colour: np.ndarray, side: int) -> np.ndarray:
     left out, as by `block_means`; pixels that are not finite and negative ones count as 0.
     """
     means = np.empty((2, colour.shape[0] // side, colour.shape[1] // side))
-    share(_half_means, means.shape[1], np.ascontiguousarray(colour, np.float32), np.array([side]), means)
+    share(_half_means, means.shape[1], whole(colour, np.float32), np.array([side]), means)
     return means
 
 
@@ -128,7 +134,7 @@ def pair_means(plane: np.ndarray, side: int) -> np.ndarray:
     Each pair lies on a diagonal, a quarter of the block from its corners. Means that are not finite become 0.
     """
     means = np.empty((plane.shape[0] // side, plane.shape[1] // side, 2, plane.shape[2]))
-    _pair_means(0, len(means), np.ascontiguousarray(plane, np.float32), np.array([side]), means)
+    _pair_means(0, len(means), whole(plane, np.float32), np.array([side]), means)
     return means
 
 
@@ -137,14 +143,14 @@ def bounds_of_cells(plane: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarra
     columns)."""
     cells = [-(-length // side) for length in plane.shape]
     low, high = np.empty(cells, np.float32), np.empty(cells, np.float32)
-    _bounds_of_cells(0, cells[0], np.ascontiguousarray(plane, np.float32), np.array([side]), low, high)
+    _bounds_of_cells(0, cells[0], whole(plane, np.float32), np.array([side]), low, high)
     return low, high
 
 
 def mark_positive(plane: np.ndarray, side: int, cells: np.ndarray) -> None:
     """Set cells of side x side pixels in which a plane (h, w, 1) is positive anywhere."""
     rows = -(-len(plane) // side)
-    _mark_positive(0, rows, np.ascontiguousarray(plane[..., 0], np.float32), np.array([side]), cells)
+    _mark_positive(0, rows, whole(plane[..., 0], np.float32), np.array([side]), cells)
 
 
 def coverage_noise(depth: np.ndarray, farthest: float) -> float:
@@ -152,7 +158,7 @@ def coverage_noise(depth: np.ndarray, farthest: float) -> float:
     other way round. Surfaces have next to none; of white noise it is up to 5/16. Every second row is looked at."""
     rows, inner = max(depth.shape[0] - 1, 0) // 2, depth.shape[1] - 2
     odd = np.zeros(rows, np.float32)
-    _coverage_noise(0, rows, np.ascontiguousarray(depth, np.float32), np.array([farthest], np.float32), odd)
+    _coverage_noise(0, rows, whole(depth, np.float32), np.array([farthest], np.float32), odd)
     found: float = odd.sum(dtype=np.float64).item() / max(rows * inner, 1)
     return found
 
@@ -177,7 +183,7 @@ def band_of(planes: np.ndarray, narrow: int, wide: int) -> np.ndarray:
     """Mean over narrow x narrow cells less that over wide x wide ones, both odd; planes (rows, columns, channels) to
     the same. Edges are repeated."""
     band = np.empty(planes.shape)
-    _band_of(0, len(band), np.ascontiguousarray(planes, np.float64), np.array([narrow, wide]), band)
+    _band_of(0, len(band), whole(planes, np.float64), np.array([narrow, wide]), band)
     return band
 
 
@@ -186,22 +192,22 @@ def places_inside(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
     (count,) and numbers of the cells (count,)."""
     size = motion.shape[0] * motion.shape[1]
     x, y, cells, count = np.empty(size), np.empty(size), np.empty(size, np.int64), np.empty(1, np.int64)
-    _places_inside(0, 1, np.ascontiguousarray(motion, np.float64), x, y, cells, count)
+    _places_inside(0, 1, whole(motion, np.float64), x, y, cells, count)
     return x[:count[0]], y[:count[0]], cells[:count[0]]
 
 
 def mix_places(plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Bilinear values (count, n) of a plane (rows, columns, n) at places inside."""
     mixed = np.empty((x.size, plane.shape[2]))
-    whole = (np.ascontiguousarray(one, np.float64) for one in (plane, x, y))
-    _mix_places(0, x.size, *whole, mixed)
+    given = (whole(one, np.float64) for one in (plane, x, y))
+    _mix_places(0, x.size, *given, mixed)
     return mixed
 
 
 def moments(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
     """Mean square of two sets of cells (cells, channels) without the means of their channels, and mean product."""
     found = np.empty((a.shape[1], 3))
-    _moments(0, len(found), *(np.ascontiguousarray(cells.T, np.float64) for cells in (a, b)), found)
+    _moments(0, len(found), *(whole(cells.T, np.float64) for cells in (a, b)), found)
     square_a, square_b, both = (found.sum(axis=0) / a.size).tolist()
     return square_a, square_b, both
 

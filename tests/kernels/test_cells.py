@@ -230,3 +230,13 @@ def test_misses_lie_twice_as_far_as_the_farthest_hit(missed):
     hit = depth < 1e9
     wanted = np.where(hit, np.maximum(depth, 1e-6), 2 * depth[hit].max(initial=1e-6))
     np.testing.assert_array_equal(limit_depths(depth, 1e9, 1e-6), wanted)
+
+
+def test_planes_at_any_address_are_taken():
+    """What a checkpoint held lies where its bytes lie."""
+    held = np.frombuffer(bytearray(8 * 24 + 1), np.uint8)[1:]
+    plane = held.view(np.float64).reshape(3, 4, 2)
+    assert not plane.flags.aligned
+    plane[...] = np.arange(24).reshape(3, 4, 2)
+    mixed = mix_places(plane, np.array([1.0]), np.array([2.0]))
+    np.testing.assert_array_equal(mixed, plane[2:3, 1])

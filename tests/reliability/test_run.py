@@ -124,7 +124,7 @@ def test_header_tells_how_a_frame_was_made(runs):
     assert header["postfx:version"] == __version__
     assert header["postfx:models"].startswith("tonemap.aces2 sha256:")
     settings = json.loads(header["postfx:settings"])
-    assert settings["settings"]["input"] == "in.####.exr" and settings["passes"]["tonemap"]["tag"] == "aces2"
+    assert settings["settings"]["input"] == "in.####.exr" and settings["passes"]["tonemap"]["look"] == "aces2"
 
 
 def test_header_of_a_processed_frame_is_not_handed_on(runs, tmp_path):
