@@ -1,14 +1,19 @@
-"""A network that gives the denoised picture itself: the best one of the denoiser at 1x.
+"""A network of the denoiser at 1x that gives the denoised picture itself. None ships yet.
 
 The trunks of `model.py` and `residual.py` predict filters, so a pixel stays within the hull of its
 neighbours. This one is a U-Net that predicts the colour of each pixel. It has the layers of Open
 Image Denoise's network for noisy planes (2.5, Apache-2.0), so that a training may begin with the
-weights that were published with it (`open_weights.py`) and teach them what that network has not:
-Blender's planes that follow mirrors, and the history.
+weights that were published with it (`open_weights.py`). That network knows neither the history nor
+Blender's planes that follow mirrors: this one learns them.
 
 Its first nine inputs are those of Open Image Denoise: colour behind the curve `encode`, albedo and
-normal. The others are the features of `model.features`, the last output and the accumulated colour
-behind the same curve, and the planes that follow mirrors and glass. Weights of these begin as zero.
+normal. The others are the features of `model.features`, the planes that follow mirrors and glass,
+and the accumulated colour and the last output behind the same curve. A branch at full size reads
+all of them and joins the finest level. What it adds begins as zero. The controls are found last,
+beside the difference of the new picture and the history.
+
+Published weights have a learning rate of their own (`train.py --published-rate`). Two trainings at
+a rate for random weights ended below their starts (docs/lab/denoiser.md).
 """
 
 from __future__ import annotations
@@ -20,7 +25,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from postfx.kernels.denoise import FEATURES, HIDDEN, MIRRORED
+from postfx.kernels import denoise as layout
+from postfx.kernels.denoise import CONTROLS, FEATURES, MIRRORED
 from postfx.kernels.denoise.network_io import LEAST_LOG_ERROR, MOST_LOG_ERROR
 from training import ops
 from training.denoise import model as network
@@ -55,10 +61,9 @@ DISTRUST_BEGINS = -2.0  # logit
 HEAD_STD = 0.01
 # Channels of the controls: as the last ones of a fine head, of which the mix is the blend here.
 BLEND = 0
-DISTRUST = 1
-IMPORTANCE = 2
-MEMORY = 3
-CONTROLS = MEMORY + HIDDEN
+DISTRUST = layout.DISTRUST - layout.MIX
+IMPORTANCE = layout.IMPORTANCE - layout.MIX
+MEMORY = layout.MEMORY - layout.MIX
 
 
 def encode(light: Tensor) -> Tensor:
