@@ -1,6 +1,6 @@
 """The project's network, Open Image Denoise and their mixture on clips, at the render's size or enlarged.
 
-    python -m training.measure.partner CLIPS [--scale 1] [--model m] [--weight 0.5]
+    python -m training.measure.partner CLIPS [--scale 1] [--model m] [--weight W]
 
 CLIPS holds .npz files as `training.datagen` makes them, with references at the render's size or twice that size.
 References are averaged down to the render's size at 1x. Figures are those of `postfx.bench.metrics`, of the second half
@@ -19,7 +19,7 @@ from postfx import DenoiseUpscale, Device, Frame, MixPartner, Partner, Pipeline
 from postfx.bench.baselines import HostKernels, Oidn
 from postfx.bench.metrics import SequenceScore
 from postfx.frame import Role
-from postfx.passes.partner import WEIGHT
+from postfx.passes.partner import partner_weight
 from training.datagen.clip_file import exposure_of, load_clip
 
 PLANES = ("colour", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion")
@@ -45,9 +45,10 @@ def reference_of(clip: dict, height: int) -> np.ndarray:
     return parted.mean((2, 4))
 
 
-def ways_of(model: str, scale: float, size: tuple[int, int], weight: float, exposure: float) -> dict[str, Way]:
-    """What is compared, by name; the plain mean is that of the first two."""
-    device, oidn = Device("cpu"), Oidn("high", "cpu", Device("cpu").threads, prefilter=True)
+def ways_of(model: str, scale: float, size: tuple[int, int], weight: float | None, exposure: float) -> dict[str, Way]:
+    """What is compared, by name. The mean is that of the first two, by `weight` or by the product's for each frame."""
+    device = Device("cpu")
+    oidn = Oidn("high", "cpu", device.threads, "prefiltered")
     kernels = HostKernels(device)
     stops = float(np.log2(exposure))
     alone = Pipeline([DenoiseUpscale(scale=scale, model=model)], device, stops, "none")
@@ -59,7 +60,8 @@ def ways_of(model: str, scale: float, size: tuple[int, int], weight: float, expo
 
     def mean(frame: Frame) -> np.ndarray:
         own, other = (np.log1p(exposure * picture.clip(0)) for picture in (results["own"], results["oidn"]))
-        return np.expm1((1 - weight) * own + weight * other) / exposure
+        share = partner_weight(frame.number, scale) if weight is None else weight
+        return np.expm1((1 - share) * own + share * other) / exposure
 
     results: dict[str, np.ndarray] = {}
 
@@ -73,7 +75,7 @@ def ways_of(model: str, scale: float, size: tuple[int, int], weight: float, expo
             "mean": mean, "mixture": lambda frame: both(frame)[Role.COLOUR]}
 
 
-def score(clip: dict, variant: int, scale: int, model: str, weight: float) -> dict[str, tuple[float, ...]]:
+def score(clip: dict, variant: int, scale: int, model: str, weight: float | None) -> dict[str, tuple[float, ...]]:
     """Way -> the figures of the second half of the frames; NaN where one cannot be measured."""
     exposure = exposure_of(clip["reference"].astype(np.float32))
     height, width = (side * scale for side in clip[f"v{variant}_colour"].shape[1:3])
@@ -93,7 +95,7 @@ def main() -> None:
     parser.add_argument("clips", type=Path, help="folder of .npz files")
     parser.add_argument("--scale", type=int, choices=(1, 2), default=1)
     parser.add_argument("--model", default="m")
-    parser.add_argument("--weight", type=float, default=WEIGHT, help="of OIDN in the plain mean")
+    parser.add_argument("--weight", type=float, help="of OIDN in the mean (default: the product's, by frame)")
     given = parser.parse_args()
     rows: list[dict[str, tuple[float, ...]]] = []
     for path in sorted(given.clips.glob("*.npz")):
