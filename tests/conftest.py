@@ -37,13 +37,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """The longest files come first, and tests of minutes run only when asked for."""
+    """The longest files come first, and tests marked soak run only when asked for."""
     places = {name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: places.get(item.nodeid.partition("::")[0].removeprefix("tests/"), len(places)))
     if "soak" not in config.option.markexpr:
         for item in items:
             if item.get_closest_marker("soak"):
-                item.add_marker(pytest.mark.skip("some minutes: give -m soak"))
+                item.add_marker(pytest.mark.skip("long, or one more of its kind: give -m soak"))
 
 
 @pytest.fixture(scope="session", autouse=True)

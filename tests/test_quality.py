@@ -238,8 +238,8 @@ def test_first_frames_gain_by_a_run_up_and_later_ones_hardly_lose(name):
     assert gains.min() >= -0.15, gains
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", BARS)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=[] if name == "garage" else pytest.mark.soak) for name in BARS])
 def test_with_a_run_up_no_frame_is_worse_than_by_open_image_denoise(shared_dir, name):
     pytest.importorskip("pyoidn")
     folder, other = shared_dir / "sequences" / name, OTHERS[2]
@@ -256,7 +256,7 @@ def test_both_ways_first_frames_gain_most_and_none_loses(name):
     assert gains.min() >= -0.05, gains
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_both_ways_better_in_the_mean_over_the_sequences(shared_dir):
     found = {name: figures(shared_dir / "sequences" / name, "m-both-ways").late for name in BARS}
     assert np.mean([found[name].psnr - bar.psnr for name, bar in BARS.items()]) >= 2.2

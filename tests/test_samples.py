@@ -161,6 +161,7 @@ def test_the_time_of_masked_frames(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10000
 
 
+@pytest.mark.soak
 def test_the_time_of_a_frame_is_fitted_and_a_farm_simulated(tmp_path):
     printed = run("time_model.py", "--models", "s", "--runs", "1", "--sizes", "96x64,192x128,384x256",
                   "--full", "192x128", "--threads", "1", "--what", "work,threads,farm", "-o", str(tmp_path / "a.png"))
@@ -185,6 +186,7 @@ def test_misses_are_left_alone_as_long_as_that_is_better():
     assert rows[0][4] > 1 and rows[0][3] > rows[0][1] + 3 and rows[-1][4] == 0
 
 
+@pytest.mark.soak
 def test_what_has_converged_is_left_alone_more_and_more_rarely():
     """On the smallest frame that windows fit in; what is left alone is noisier than what is denoised."""
     printed = run("converged.py", "--size", "96x64", "--passes", "32", "--runs", "1", "--model", "s").splitlines()[1:]
@@ -194,6 +196,7 @@ def test_what_has_converged_is_left_alone_more_and_more_rarely():
     assert rows[0][3] < rows[0][4] and rows[0][5] < rows[0][6]
 
 
+@pytest.mark.soak
 def test_what_windows_take_is_measured():
     assert "ms a window =" in run("window_cost.py", "--width", "480", "--height", "272", "--runs", "1", "--model", "s")
 
@@ -212,6 +215,7 @@ def test_a_renderer_keeps_to_a_frame_time(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 5000
 
 
+@pytest.mark.soak
 @pytest.mark.skipif(find_spec("matplotlib") is None, reason="postfx-render[bench] is not installed")
 def test_networks_improve_ambient_occlusion(tmp_path):
     """The U-Net, which never saw such blocks, by the 4 dB that it gains on real scenes."""
@@ -326,6 +330,7 @@ def test_sparks_leave_a_third_of_their_ghosts_at_most_with_a_mask(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 100000
 
 
+@pytest.mark.soak
 def test_memory_is_measured_within_a_budget():
     """The peak of a process begins with that of the one that starts it, which must be small."""
     printed = run_alone("measure_memory.py", "--sizes", "2560x1440", "--memory", "none,640M", "--model", "s")

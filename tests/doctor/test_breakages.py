@@ -35,9 +35,9 @@ def test_the_sample(room, diagnose, same_once):
 
 
 def test_another_renderer(shared_frames, diagnose, same_once):
-    """Every other mistake."""
-    wrong, tried = mistakes(BREAKAGES[1::2], shared_frames("staircase"), (240, 160), diagnose)
-    assert not wrong and tried > LEAST
+    """Every fourth mistake."""
+    wrong, tried = mistakes(BREAKAGES[1::4], shared_frames("staircase"), (240, 160), diagnose)
+    assert not wrong and tried > LEAST // 2
 
 
 @pytest.mark.soak

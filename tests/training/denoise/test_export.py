@@ -35,7 +35,8 @@ CONFIGS = {"tiny.guides": replace(TINY, guides=True), "quad": replace(TINY, stem
           "residual": ResidualConfig((16, 16, 16, 16, 16), (1, 1, 1, 1, 2), (1, 1, 1, 1))}
 
 
-@pytest.fixture(scope="module", params=CONFIGS)
+@pytest.fixture(scope="module", params=["tiny.guides", "residual", *(
+    pytest.param(name, marks=pytest.mark.soak) for name in ("quad", "low"))])
 def checkpoint(request: pytest.FixtureRequest) -> dict:
     """A checkpoint of a small network, as train.py writes them."""
     torch.manual_seed(0)
@@ -73,7 +74,7 @@ def folder(checkpoint: dict, tag: str, tmp_path_factory: pytest.TempPathFactory)
 def test_file_runs_as_the_network_at_any_size(checkpoint: dict, folder: Path, name: str) -> None:
     trunk = denoise_export.load_trunk(checkpoint)
     path = folder / f"{name}.onnx"
-    for height, width in ((16, 16), (64, 96), (80, 32)):
+    for height, width in ((16, 16), (80, 32)):
         examples = denoise_export.example(trunk, height, width)
         exported = denoise_export.exported(trunk)
         assert parity(exported, path, examples, {"height": height, "width": width}) <= PARITY

@@ -23,6 +23,7 @@ train.main()
 """
 
 
+@pytest.mark.soak
 def test_two_processes_train_one_network(tmp_path: Path) -> None:
     write_clips(tmp_path, 8)
     (tmp_path / "run.py").write_text(RUN)

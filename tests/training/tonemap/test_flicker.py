@@ -67,7 +67,8 @@ def test_how_fast_light_is_followed_is_measured() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("tag", "name"), [("local", "living_room"), ("auto", "staircase"), ("local", "garage")])
+@pytest.mark.parametrize(("tag", "name"), [
+    ("local", "living_room"), ("auto", "staircase"), pytest.param("local", "garage", marks=pytest.mark.soak)])
 def test_looks_flicker_no_more_than_the_nearest_static_curve(shared_dir: Path, tag: str, name: str) -> None:
     folder, look, mapper, other = shared_dir / "sequences" / name, LOOKS[tag], Mapper(tag), Mapper(tag)
     frames = list(exposed_frames(folder))
