@@ -42,8 +42,8 @@ def timed(chain: postfx.Pipeline, picture: Frame) -> float:
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("count", [150, pytest.param(1000, marks=pytest.mark.soak)])
 def test_many_frames_take_no_more_memory_than_ten_and_no_more_time(count: int, threads: int) -> None:
-    """Memory within 1 % and a MiB. Processor time of the fastest frames is that of a new chain, in turn with the old one:
-    a machine that grows slower meanwhile slows both."""
+    """Memory within 1 % and a MiB. Processor time of the fastest frames is that of a new chain, in turn with the old
+    one: a machine that grows slower meanwhile slows both."""
     device, new = (Device("cpu", threads=threads) for _ in range(2))
     chain, fresh = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()], one) for one in (device, new))
     frames, heaps, process = [frame(number) for number in range(4)], set(), []
