@@ -33,7 +33,7 @@ from postfx.interpolate.flow import (
     measure_clearness,
     middle_light,
     remove_overlay,
-    tone_rows,
+    tone,
 )
 from postfx.interpolate.light import change_of_light, lit_at
 from postfx.interpolate.lost import motion_of_lost
@@ -206,14 +206,8 @@ class Between:
     @cached_property
     def _toned(self) -> tuple[np.ndarray, np.ndarray]:
         """Grey pictures with margins (h + 2 MARGIN, w + 2 MARGIN), by which paths are compared."""
-        h, w = self._size
-        found = []
-        for picture in self._lit(0.5):
-            toned = new_array((h + 2 * MARGIN, w + 2 * MARGIN))
-            in_bands(h, tone_rows, picture, self._level, MARGIN, toned)
-            toned[:MARGIN], toned[h + MARGIN:] = toned[MARGIN], toned[h + MARGIN - 1]
-            found.append(toned)
-        return found[0], found[1]
+        first, last = (tone(picture, self._level, MARGIN) for picture in self._lit(0.5))
+        return first, last
 
     @cached_property
     def _level(self) -> np.float32:
@@ -348,8 +342,7 @@ class Between:
         motion, depth = (np.ascontiguousarray(frame[role]) if role in frame else
                          np.full((1, self._size[1], count), DEPTH_MISS, np.float32)
                          for role, count in ((Role.MOTION, 2), (Role.DEPTH, 1)))
-        found = new_array((*self._grid, 2)), new_array((*self._grid, 1))
-        paths.gather_cells(motion, depth, self._scale, self._longest, *found)
+        found = paths.gather_cells(motion, depth, self._scale, float(self._longest), self._grid)
         self._gathered.append((frame, found))
         return found
 
@@ -361,7 +354,7 @@ class Between:
         new = [motion for motion in motions if find(*motion[:2]) is None]
         found = at_once([partial(invert_motion, *planes) for _, _, planes in new])
         for (before, after, (motion, *_)), way in zip(new, found, strict=True):
-            in_bands(len(way), paths.refine, motion, way)
+            paths.refine(motion, way)
             self._inverted.append((before, after, way))
         return [way for motion in motions if (way := find(*motion[:2])) is not None]
 
@@ -394,11 +387,9 @@ class Between:
     def _rank(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What stands for depth where there is none."""
         first, last = self._small
-        near, far = (np.ones((*self._grid, 1), np.float32) for _ in range(2))
-        ahead = invert_motion(motion, far, near)
-        paths.rank_paths(first, last, ahead, near)
-        paths.rank_paths(last, first, motion, far)
-        return near, far
+        even = np.ones((*self._grid, 1), np.float32)
+        ahead = invert_motion(motion, even, even)
+        return paths.rank_paths(first, last, ahead), paths.rank_paths(last, first, motion)
 
     @cached_property
     def _noise(self) -> np.float32:

@@ -15,6 +15,11 @@ typedef View<float, 3> NewField;
 FN Long floor_to_whole(double x) { return Long(__builtin_floor(x)); }
 FN double size_of(double x) { return __builtin_fabs(x); }
 
+// Between 0 and the last; NaN becomes 0.
+FN double within_double(double x, double last) {
+    return smaller<double>(larger<double>(x, 0.0), last);
+}
+
 // Two numbers of a pixel, and four.
 typedef float Two __attribute__((ext_vector_type(2)));
 typedef double WideTwo __attribute__((ext_vector_type(2)));
