@@ -9,6 +9,7 @@
 
 typedef View<const float, 2> Plane;
 typedef View<const float, 3> Field;
+typedef View<const bool, 2> Known;
 typedef View<float, 2> NewPlane;
 typedef View<float, 3> NewField;
 
@@ -49,4 +50,13 @@ FN double value_between(const Plane& picture, double y, double x) {
     const double above = upper[across.first] * (1.0 - u) + upper[across.second] * u;
     const double below = lower[across.first] * (1.0 - u) + lower[across.second] * u;
     return above * (1.0 - v) + below * v;
+}
+
+// Whether a place is in the picture, at a pixel that is known.
+FN bool is_within(const Known& known, double y, double x) {
+    const Long h = known.size[0], w = known.size[1];
+    const bool inside = x > -0.5 && y > -0.5 && x < double(float(w) - 0.5f)
+                     && y < double(float(h) - 0.5f);
+    if (!inside) return false;
+    return known(smaller<Long>(Long(y + 0.5), h - 1))[smaller<Long>(Long(x + 0.5), w - 1)];
 }

@@ -118,7 +118,6 @@ static void search_rows(Long, Long, Plane one, Plane other, Field flow, NewField
 EXPORT(search_flow, search_rows)
 
 // Motion of each pixel: the mean of the patches over it, by how well they fit there.
-typedef double WideFour __attribute__((ext_vector_type(4)));
 static void spread_rows(Long first, Long last, Plane one, Plane other, Field moved,
                         NewField flow) {
     const Searched of = {one.at, other.at, flow.size[0], flow.size[1]};

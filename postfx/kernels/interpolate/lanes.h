@@ -3,6 +3,7 @@
 #include "between.h"
 
 typedef float Eight __attribute__((ext_vector_type(8)));
+typedef double WideFour __attribute__((ext_vector_type(4)));
 
 template <class V> FN V numbers_at(const float* at) {
     V x;
