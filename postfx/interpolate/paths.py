@@ -23,7 +23,7 @@ from postfx.kernels.library import Rows
 from postfx.kernels.statistics import whole
 from postfx.system import in_bands
 from postfx.temporal import reverse_motion
-from postfx.temporal.reverse_motion import LOST
+from postfx.temporal.reverse_motion import LOST  # noqa: F401  # it is paths.cu's
 
 FAR = np.float32(1e30)
 """Stands for an unknown depth or a larger one."""
