@@ -241,17 +241,13 @@ class Between:
         return np.float32(DARK * self._level)
 
     @cached_property
-    def _sparks(self) -> Sparks:
-        """What is known of sparks, where there are any."""
-        return Sparks(self._pictures, self._marks, self._scale, float(self._dim))
-
-    @cached_property
-    def _marks(self) -> list[np.ndarray]:
-        """Cells of both frames that show sparks; empty without, without flow, and where overlays left black pixels."""
+    def _sparks(self) -> Sparks | None:
+        """Sparks of both frames; None without, without flow, and where overlays left black pixels."""
         if not self._flow or self._composited or not self._has_vectors:
-            return []
+            return None
         marks = [find_sparks(picture, self._scale, float(self._dim), self._grid) for picture in self._pictures]
-        return marks if marks[0].any() or marks[1].any() else []
+        is_there = marks[0].any() or marks[1].any()
+        return Sparks(self._pictures, marks, self._scale, float(self._dim)) if is_there else None
 
     @cached_property
     def _compared(self) -> Toned:
@@ -421,7 +417,7 @@ class Between:
         _ = self._grid if self._both_have(Role.DEPTH) and Role.MOTION in self.after and not self._flow else self._toned
         leading = begin(lambda: self._paths)
         _ = self._toned
-        looking = begin(lambda: self._marks)
+        looking = begin(lambda: self._sparks)
         at_once([lambda: self._flows, lambda: self._known], waiting=True)
         first, last = leading.result()
         (one, near), (other, far), ahead, back = at_once([
@@ -439,7 +435,8 @@ class Between:
         measure_change(arrived, self._scale, own)
         cells = choose_paths(self._compared, own, arrived, Flows(ahead, back, self._mirrored), (first, last),
                              (t, float(self._noise)))
-        marks = settle_sparks(self._sparks, t, own, cells) if looking.result() else None
+        sparks = looking.result()
+        marks = None if sparks is None else settle_sparks(sparks, t, own, cells)
         join_cells(cells)
         measure_detail(self._compared, float(self._noise), cells)
         return cells, own, marks
@@ -466,7 +463,7 @@ class Between:
         picture, mixed, taken, motion = compose(cells, planes, mixture, Role.MOTION in after)
         if self._pictures is self._colours:
             follow_light((self._earlier, before, after, self._later), t, picture)
-        if marks is not None:
+        if self._sparks is not None and marks is not None:
             keep_sparks(self._sparks, t, own, marks, picture)
         made = split_planes(mixed, light) | split_planes(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
