@@ -116,15 +116,22 @@ EXPORT(brightest_cells, brightest_rows)
 struct Reach {
     Long straight, slant;  // cells
 };
+struct Cross {
+    Long up, low, left, right;
+    FN_MEMBER Cross(const Plane& bright, Long y, Long x, Long reach)
+        : up(larger<Long>(y - reach, 0)), low(smaller<Long>(y + reach, bright.size[0] - 1)),
+          left(larger<Long>(x - reach, 0)), right(smaller<Long>(x + reach, bright.size[1] - 1)) {}
+};
 FN bool is_isolated(const Plane& bright, Long y, Long x, const Reach& reach, float most) {
-    const Long h = bright.size[0], w = bright.size[1];
-    const auto lit = PIXELS(Long down, Long right) {
-        return int(bright(clip(y + down, h))[clip(x + right, w)] >= most);
-    };
-    const Long far = reach.straight, near = reach.slant;
-    const int straight = lit(-far, 0) + lit(far, 0) + lit(0, -far) + lit(0, far);
+    const Cross far(bright, y, x, reach.straight);
+    const float* row = bright(y);
+    const int straight = int(bright(far.up)[x] >= most) + int(bright(far.low)[x] >= most)
+                       + int(row[far.left] >= most) + int(row[far.right] >= most);
     if (straight > 8 - DARKER) return false;
-    const int slant = lit(-near, -near) + lit(-near, near) + lit(near, -near) + lit(near, near);
+    const Cross near(bright, y, x, reach.slant);
+    const float *upper = bright(near.up), *lower = bright(near.low);
+    const int slant = int(upper[near.left] >= most) + int(upper[near.right] >= most)
+                    + int(lower[near.left] >= most) + int(lower[near.right] >= most);
     return straight + slant <= 8 - DARKER;
 }
 // Marks isolated bright cells. numbers: light that counts as dark, and how far away what is around
