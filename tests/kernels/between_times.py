@@ -1,10 +1,11 @@
 """Time of the kernels of frames between frames as a share of what the Numba forms of an earlier commit took, and how
 their results differ.
 
-    python -m tests.kernels.between_times COMMIT [--level vnni]
+    python -m tests.kernels.between_times COMMIT [--level vnni | --tree FOLDER]
 
 The earlier commit makes frames between four of 270x480, and keeps what its kernels are called with. Both run the same
-calls in processes of one thread that take turns. It prints the medians of processor time, their ratio, and the largest
+calls in processes of one thread that take turns. With a folder that holds the commit and has run before, nothing is
+compiled again, and only this processor's own level is measured. It prints the medians of processor time, their ratio, and the largest
 difference in units of the largest value.
 """
 
@@ -26,7 +27,7 @@ import numpy as np
 
 from postfx.interpolate import choose, flow
 from postfx.kernels import native
-from postfx.kernels.library import Rows
+from postfx.kernels.library import Rows, levels
 from tests.kernels.kernel_times import NUMBAS, difference, unpack
 
 TURNS = 9
@@ -222,12 +223,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("commit")
     parser.add_argument("--level", nargs="+", default=["v3", "vnni"], choices=NUMBAS)
+    parser.add_argument("--tree", type=Path)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        before = unpack(options.commit, Path(folder))
-        for level in options.level:
+        before = options.tree or unpack(options.commit, Path(folder))
+        for level in [levels()[-1]] if options.tree else options.level:
             calls = Path(folder) / "calls"
-            environment = os.environ | native.target_of(NUMBAS[level]) | {"PYTHONPATH": str(before)}
+            target = {} if options.tree else native.target_of(NUMBAS[level])
+            environment = os.environ | target | {"PYTHONPATH": str(before)}
             with subprocess.Popen([sys.executable, "-c", WORKER, str(calls)], cwd=before, env=environment, text=True,
                                   stdin=subprocess.PIPE, stdout=subprocess.PIPE) as worker:
                 source, target = worker.stdout, worker.stdin
