@@ -68,7 +68,8 @@ def calls() -> dict[str, list[Call]]:
 
     def watched(rows: Rows, arrays: Sequence[np.ndarray]) -> Any:
         bound = bind(rows, arrays)
-        last = next(len(one) for one in reversed(arrays) if len(one)) if rows.name != "compose" else len(arrays[1])
+        picture = {"compose": 1, "tone_rows": 0}.get(rows.name)  # the others write as many rows as they work on
+        last = next(len(one) for one in reversed(arrays) if len(one)) if picture is None else len(arrays[picture])
         keep(rows, 0, last, arrays)
         return bound
 
