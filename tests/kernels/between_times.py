@@ -96,7 +96,7 @@ def watch(name, function):
         size = sum(one.size for one in arguments if isinstance(one, np.ndarray))
         with lock:
             if size > kept.get(name, (0,))[0]:
-                kept[name] = size, before, copy.deepcopy(arguments)
+                kept[name], known[name] = (size, before, copy.deepcopy(arguments)), function
 
     return call
 
@@ -104,7 +104,6 @@ def watch(name, function):
 for module in modules:
     for name, function in list(vars(module).items()):
         if hasattr(function, "py_func"):
-            known.setdefault(name, function)
             setattr(module, name, watch(name, function))
 for module in modules:
     if hasattr(module, "in_bands"):
