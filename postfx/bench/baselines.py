@@ -7,8 +7,6 @@ another surface, and averages up to ten frames.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from postfx.bench import require
@@ -17,7 +15,7 @@ from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.kernels import Kernel
 from postfx.kernels.image import RESAMPLE, positions
-from postfx.kernels.numeric import centre, compiled, inline
+from postfx.kernels.library import Rows
 from postfx.oidn import OpenImageDenoise, total_albedo
 from postfx.runtime import ArgumentTable, Device
 
@@ -110,65 +108,10 @@ class HostKernels:
 
 
 LONGEST = 10
-DEPTH_STEP, FACING = np.float32(0.1), np.float32(0.8)
-ONE = np.float32(1)
-
-
-@inline
-def same_surface(
-    depth: np.ndarray, normal: np.ndarray, past_depth: np.ndarray, past_normal: np.ndarray,
-    y: int, x: int, py: int, px: int,
-) -> bool | np.bool_:
-    """Whether depth agrees within 10 % and the normals within 37 degrees; pixels without a normal agree."""
-    near = abs(past_depth[py, px, 0] - depth[y, x, 0]) < DEPTH_STEP * depth[y, x, 0]
-    dot, now, past = np.float32(0), np.float32(0), np.float32(0)
-    for c in range(3):
-        dot += normal[y, x, c] * past_normal[py, px, c]
-        now += normal[y, x, c] * normal[y, x, c]
-        past += past_normal[py, px, c] * past_normal[py, px, c]
-    return near and (dot > FACING * math.sqrt(now * past) or now + past == np.float32(0))
-
-
-@compiled
-def accumulate_rows(
-    y0: int, y1: int, current: np.ndarray, history: np.ndarray, motion: np.ndarray, depth: np.ndarray,
-    normal: np.ndarray, past_depth: np.ndarray, past_normal: np.ndarray, output: np.ndarray,
-) -> None:
-    """output (H, W, 4): colour and the count of frames in it. `history` is the last output; planes are (h, w, C)."""
-    height, width = current.shape[:2]
-    h, w = motion.shape[:2]
-    for y in range(y0, y1):
-        row, _ = centre(y, h, height)
-        for x in range(width):
-            column, _ = centre(x, w, width)
-            py = np.float32(y) + motion[row, column, 1] * np.float32(height) / np.float32(h)
-            px = np.float32(x) + motion[row, column, 0] * np.float32(width) / np.float32(w)
-            half = np.float32(0.5)
-            count = ONE
-            if -half < py < height - half and -half < px < width - half:
-                near_y, near_x = int(math.floor(py + half)), int(math.floor(px + half))
-                past_row, _ = centre(near_y, h, height)
-                past_column, _ = centre(near_x, w, width)
-                if same_surface(depth, normal, past_depth, past_normal, row, column, past_row, past_column):
-                    count = min(history[near_y, near_x, 3] + ONE, np.float32(LONGEST))
-            output[y, x, 3] = count
-            top, left = int(math.floor(py)), int(math.floor(px))
-            for c in range(3):
-                value = current[y, x, c]
-                if count > ONE:
-                    up, down = max(top, 0), min(top + 1, height - 1)
-                    before, after = max(left, 0), min(left + 1, width - 1)
-                    fy, fx = py - np.float32(top), px - np.float32(left)
-                    above = history[up, before, c] * (ONE - fx) + history[up, after, c] * fx
-                    below = history[down, before, c] * (ONE - fx) + history[down, after, c] * fx
-                    past = above * (ONE - fy) + below * fy
-                    value = past + (value - past) / count
-                output[y, x, c] = value
-
-
+"""Frames that are averaged, at most, as in postfx/kernels/accumulate.cpp."""
 ACCUMULATE = Kernel(
     "accumulate", ("current", "history", "motion", "depth", "normal", "past_depth", "past_normal"), ("output",),
-    accumulate_rows, ("output", 0),
+    Rows("accumulate_past"), ("output", 0),
     {"current": ("height", "width", 3), "history": ("height", "width", 4), "motion": ("h", "w", 2),
      "depth": ("h", "w", 1), "normal": ("h", "w", 3), "past_depth": ("h", "w", 1), "past_normal": ("h", "w", 3),
      "output": ("height", "width", 4)},

@@ -15,13 +15,23 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from postfx.caching import new_array, reuse_memory
+from postfx.caching import reuse_memory
 from postfx.cuts import CutDetector
 from postfx.errors import FrameError
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.interpolate import paths
-from postfx.interpolate.blend import DARK, Pair, compose, join_cells, split_planes, stack_planes
-from postfx.interpolate.choose import MARGIN, choose_paths, measure_change, measure_detail, merge_sides, misfits
+from postfx.interpolate.blend import DARK, Mixture, Pair, Planes, compose, join_cells, split_planes, stack_planes
+from postfx.interpolate.choose import (
+    MARGIN,
+    Arrived,
+    Flows,
+    Toned,
+    choose_paths,
+    measure_change,
+    measure_detail,
+    measure_misfits,
+    merge_sides,
+)
 from postfx.interpolate.flow import (
     COVERED,
     bring_to_time,
@@ -33,14 +43,14 @@ from postfx.interpolate.flow import (
     measure_clearness,
     middle_light,
     remove_overlay,
-    tone_rows,
+    tone,
 )
 from postfx.interpolate.light import change_of_light, lit_at
 from postfx.interpolate.lost import motion_of_lost
-from postfx.interpolate.timing import camera_between, find_sparks, follow_light, keep_sparks, settle_sparks
+from postfx.interpolate.timing import Sparks, camera_between, find_sparks, follow_light, keep_sparks, settle_sparks
 from postfx.kernels.statistics import is_finite, is_same_plane
 from postfx.sampling import bilinear, is_inside
-from postfx.system import at_once, begin, in_bands
+from postfx.system import at_once, begin
 from postfx.temporal.reverse_motion import invert_motion
 
 LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
@@ -206,14 +216,8 @@ class Between:
     @cached_property
     def _toned(self) -> tuple[np.ndarray, np.ndarray]:
         """Grey pictures with margins (h + 2 MARGIN, w + 2 MARGIN), by which paths are compared."""
-        h, w = self._size
-        found = []
-        for picture in self._lit(0.5):
-            toned = new_array((h + 2 * MARGIN, w + 2 * MARGIN))
-            in_bands(h, tone_rows, picture, self._level, MARGIN, toned)
-            toned[:MARGIN], toned[h + MARGIN:] = toned[MARGIN], toned[h + MARGIN - 1]
-            found.append(toned)
-        return found[0], found[1]
+        first, last = (tone(picture, self._level, MARGIN) for picture in self._lit(0.5))
+        return first, last
 
     @cached_property
     def _level(self) -> np.float32:
@@ -237,18 +241,18 @@ class Between:
         return np.float32(DARK * self._level)
 
     @cached_property
-    def _sparks(self) -> list[np.ndarray]:
-        """Cells of both frames that show sparks; empty without, without flow, and where overlays left black pixels."""
+    def _sparks(self) -> Sparks | None:
+        """Sparks of both frames; None without, without flow, and where overlays left black pixels."""
         if not self._flow or self._composited or not self._has_vectors:
-            return []
-        marks = [find_sparks(picture, self._scale, self._dim, self._grid) for picture in self._pictures]
-        return marks if marks[0].any() or marks[1].any() else []
+            return None
+        marks = [find_sparks(picture, self._scale, float(self._dim), self._grid) for picture in self._pictures]
+        is_there = marks[0].any() or marks[1].any()
+        return Sparks(self._pictures, marks, self._scale, float(self._dim)) if is_there else None
 
     @cached_property
-    def _matched(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same in one line, as kernels read them."""
-        first, last = self._toned
-        return first.ravel(), last.ravel()
+    def _compared(self) -> Toned:
+        """What paths are compared by."""
+        return Toned(*self._toned, *self._known, self._scale)
 
     @cached_property
     def _small(self) -> tuple[np.ndarray, np.ndarray]:
@@ -348,8 +352,7 @@ class Between:
         motion, depth = (np.ascontiguousarray(frame[role]) if role in frame else
                          np.full((1, self._size[1], count), DEPTH_MISS, np.float32)
                          for role, count in ((Role.MOTION, 2), (Role.DEPTH, 1)))
-        found = new_array((*self._grid, 2)), new_array((*self._grid, 1))
-        paths.gather_cells(motion, depth, self._scale, self._longest, *found)
+        found = paths.gather_cells(motion, depth, self._scale, float(self._longest), self._grid)
         self._gathered.append((frame, found))
         return found
 
@@ -361,7 +364,7 @@ class Between:
         new = [motion for motion in motions if find(*motion[:2]) is None]
         found = at_once([partial(invert_motion, *planes) for _, _, planes in new])
         for (before, after, (motion, *_)), way in zip(new, found, strict=True):
-            in_bands(len(way), paths.refine, motion, way)
+            paths.refine(motion, way)
             self._inverted.append((before, after, way))
         return [way for motion in motions if (way := find(*motion[:2])) is not None]
 
@@ -394,25 +397,23 @@ class Between:
     def _rank(self, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What stands for depth where there is none."""
         first, last = self._small
-        near, far = (np.ones((*self._grid, 1), np.float32) for _ in range(2))
-        ahead = invert_motion(motion, far, near)
-        paths.rank_paths(first, last, ahead, near)
-        paths.rank_paths(last, first, motion, far)
-        return near, far
+        even = np.ones((*self._grid, 1), np.float32)
+        ahead = invert_motion(motion, even, even)
+        return paths.rank_paths(first, last, ahead), paths.rank_paths(last, first, motion)
 
     @cached_property
     def _noise(self) -> np.float32:
         """Misfit of paths that are right, which is noise: the median."""
         _, last = self._paths
-        found = np.empty([side // 4 for side in last.seen.shape], np.float32)
-        misfits(*self._matched, *self._known, last.ends, last.seen, self._scale, found)
+        found = measure_misfits(self._compared, last)
         found = found[found >= 0]
         return np.float32(np.median(found) if found.size else 0)
 
     # What is made for a time
 
-    def _choose(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What `compose` takes of the cells at a time, their paths by planes alone, and marks of `settle_sparks`."""
+    def _choose(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """What `compose` takes of the cells at a time, their paths by planes alone, and marks of `settle_sparks`, None
+        without sparks."""
         _ = self._grid if self._both_have(Role.DEPTH) and Role.MOTION in self.after and not self._flow else self._toned
         leading = begin(lambda: self._paths)
         _ = self._toned
@@ -423,24 +424,21 @@ class Between:
             lambda: paths.splat_paths(first, t), lambda: paths.splat_paths(last, t),
             lambda: bring_to_time(self._flows[0], first.ends[..., 2:], *self._small, self._scale, t),
             lambda: bring_to_time(self._flows[1], last.ends[..., :2], *self._small[::-1], self._scale, 1 - t)])
-        own = new_array((*self._grid, 8))
-        in_bands(len(own), merge_sides, one, near, other, far, np.float32(self._scale), own)
+        arrived = Arrived(one, other, near, far)
+        own = merge_sides(arrived, self._scale)
         if any((*self.before.jitter, *self.after.jitter)):
             shift = np.array((*self.before.jitter, *self.after.jitter), np.float32)
             own[..., :4] -= shift
             for side in (one, other):
                 side[..., :4] -= shift / np.float32(self._scale)
         at_once([lambda: paths.fill_holes(own, np.minimum(near, far)), lambda: self._noise])
-        in_bands(len(own), measure_change, one, other, np.float32(self._scale), own)
-        cells, marks = new_array((*self._grid, 8)), np.empty(self._grid, np.uint8)
-        in_bands(self._grid[0], choose_paths, *self._matched, *self._known, own, one, other, ahead, back,
-                  self._mirrored, first.ends, first.seen, last.ends, last.seen, near, far, first.depth, last.depth, t,
-                  self._scale, self._noise, cells)
-        if looking.result():
-            in_bands(self._grid[0], settle_sparks, *self._pictures, *self._sparks, own, self._scale, self._dim,
-                     t <= 0.5, cells, marks)
-        in_bands(self._grid[0], join_cells, cells)
-        in_bands(self._grid[0], measure_detail, *self._matched, self._known[0], self._scale, self._noise, cells)
+        measure_change(arrived, self._scale, own)
+        cells = choose_paths(self._compared, own, arrived, Flows(ahead, back, self._mirrored), (first, last),
+                             (t, float(self._noise)))
+        sparks = looking.result()
+        marks = None if sparks is None else settle_sparks(sparks, t, own, cells)
+        join_cells(cells)
+        measure_detail(self._compared, float(self._noise), cells)
         return cells, own, marks
 
     def _make_planes(self, t: float, previous: float) -> tuple[dict[Role, np.ndarray], dict[str, np.ndarray]]:
@@ -456,18 +454,17 @@ class Between:
                   if name not in exact}
         data: dict[Role | str, Pair] = {role: (before[role], after[role]) for role in DATA if self._both_have(role)}
         data |= {name: (before.parts[name], after.parts[name]) for name in exact}
-        stacks = [[stack_planes([pair[side] for pair in group.values()], self._size) for side in (0, 1)]
-                  for group in (light, data)]
-        picture, mixed, taken = (new_array(pair[0].shape) for pair in (self._pictures, *stacks))
-        motion = new_array((*self._size, 2) if Role.MOTION in after else (0, 0, 2))
+        stacks = [(stack_planes([pair[0] for pair in group.values()], self._size),
+                   stack_planes([pair[1] for pair in group.values()], self._size)) for group in (light, data)]
         # to an earlier time, of paths at t: Lagrange's polynomial through their places at 0, t and 1
-        back = [np.float32((previous - t) * (previous - 1) / t), np.float32(previous * (previous - t) / (1 - t))]
-        in_bands(len(picture), compose, cells, self._scale, *self._lit(t), *self._known, *self._depths, self._masked,
-                  t, self._level, picture, *stacks[0], mixed, *stacks[1], taken, *back, motion)
+        back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
+        planes = Planes(self._lit(t), self._known, self._depths, *stacks)
+        mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
+        picture, mixed, taken, motion = compose(cells, planes, mixture, Role.MOTION in after)
         if self._pictures is self._colours:
             follow_light((self._earlier, before, after, self._later), t, picture)
-        if self._sparks:
-            keep_sparks(self._pictures, self._sparks, own, marks, self._scale, self._dim, t, picture)
+        if self._sparks is not None and marks is not None:
+            keep_sparks(self._sparks, t, own, marks, picture)
         made = split_planes(mixed, light) | split_planes(taken, data)
         made[Role.COLOUR] = self._put_over(picture, t)
         if Role.MOTION in after:

@@ -16,9 +16,10 @@ import numpy as np
 
 from postfx.errors import FrameError
 from postfx.frame import DEPTH_MISS, Frame, Role
-from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion, value_at
+from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion
 from postfx.io.convert import SEEN, camera_equations, centre_positions, fit_camera
-from postfx.kernels.numeric import Real, compiled
+from postfx.kernels.library import Rows
+from postfx.kernels.statistics import whole
 from postfx.system import usable_cores
 from postfx.workers import Workers
 
@@ -28,8 +29,8 @@ MOST = 640
 _POINTS, _LEAST_POINTS, _ALIGNED, _ROUNDS = 2000, 64, 4000, 5
 # Least share of points that the fit must explain, and the most of the picture's own contrast that it may leave.
 _FITTING, _RELATED = 0.4, 0.5
-# What a thing that moves must leave of the camera's misfit, and by how much less; pixels over which misfits are taken.
-_BETTER, _LESS, _AROUND = np.float32(0.6), np.float32(0.02), 3
+# What a thing that moves must leave of the camera's misfit, and by how much less.
+_BETTER, _LESS = np.float32(0.6), np.float32(0.02)
 # A camera is at rest where that leaves at most this share of what its motion leaves; flow alone follows noise, too.
 _AS_WELL = 1.02, 1.25
 
@@ -58,11 +59,11 @@ def picture_of(frame: Frame) -> Picture | None:
         return None
     height, width = held.shape[:2]
     step = math.ceil(max(height, width) / MOST)
-    nothing = np.zeros((1, 1, 3), np.float32)
     means = np.empty((-(-height // step), -(-width // step)), np.float32)
-    shade(nothing if albedo is None else albedo, nothing if normal is None else normal, step, means)
+    planes = (np.zeros((1, 1, 3)) if plane is None else plane for plane in (albedo, normal))
+    _shade(0, len(means), *(whole(plane, np.float32) for plane in planes), np.array([step], np.float32), means)
     values = np.empty_like(means)
-    smooth(means, values)
+    _smooth(0, len(values), means, values)
     return Picture(values, step, (height, width), frame.jitter)
 
 
@@ -98,9 +99,7 @@ def motion_between(before: Picture | None, after: Picture, depth: np.ndarray | N
     found = None if depth is None else _camera(one, other, consistent_motion(flow, back)[0], depth, step)
     if found is not None:
         assert depth is not None
-        by_camera, median = np.empty_like(flow), found[1]
-        move(found[0], median, depth, step, np.float32(0), np.float32(0), by_camera)
-        camera_misfit = _misfit(one, other, by_camera)
+        camera_misfit = _misfit(one, other, found.move(depth, step, np.zeros(2), one.shape))
         moves = by_flow + _LESS < _BETTER * camera_misfit
         best_misfit = np.where(moves, by_flow, camera_misfit)
     else:
@@ -113,10 +112,9 @@ def motion_between(before: Picture | None, after: Picture, depth: np.ndarray | N
         motion = _enlarge(flow, step, height, width)
         return np.ascontiguousarray(motion - jitter, np.float32)
     assert depth is not None
-    motion = np.empty((height, width, 2), np.float32)
-    move(found[0], found[1], depth, 1, jitter[0], jitter[1], motion)
+    motion = found.move(depth, 1, jitter, (height, width))
     if moves.any():
-        put(flow, moves, step, jitter[0], jitter[1], motion)
+        _put(0, height, flow, moves, np.array((step, *jitter), np.float32), motion)
     return motion
 
 
@@ -126,8 +124,8 @@ def _enlarge(flow: np.ndarray, step: int, height: int, width: int) -> np.ndarray
 
 
 def _camera(one: np.ndarray, other: np.ndarray, flow: np.ndarray, depth: np.ndarray, step: int
-            ) -> tuple[np.ndarray, np.float32] | None:
-    """H and e (11,) of the camera's motion, and the depth that e is in units of; None where nothing fits."""
+            ) -> _Camera | None:
+    """The camera's motion; None where nothing fits."""
     height, width = depth.shape[:2]
     middles = [np.minimum(np.arange(count) * step + step // 2, side - 1)
                for count, side in zip(one.shape, (height, width), strict=True)]
@@ -148,7 +146,7 @@ def _camera(one: np.ndarray, other: np.ndarray, flow: np.ndarray, depth: np.ndar
     if share < _FITTING:
         return None
     near = np.where(hit, median / np.where(hit, near_plane, 1), 0)
-    return _align(one, other, found, near, shape).astype(np.float32), np.float32(median)
+    return _Camera(_align(one, other, found, near, shape).astype(np.float32), np.float32(median))
 
 
 def _align(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarray, shape: tuple[float, float]
@@ -170,7 +168,8 @@ def _align(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarr
     for _ in range(_ROUNDS + 1):
         place = np.append(found[:8], 1).reshape(3, 3) @ now.T + found[8:, None] * close
         before = (place[:2] / place[2]).T
-        sample(other, before[:, 1] * shape[1] + shape[0] / 2 - 0.5, before[:, 0] * shape[1] + shape[1] / 2 - 0.5, there)
+        places = before.T[::-1] * shape[1] + np.array([[shape[0]], [shape[1]]]) / 2 - 0.5
+        _sample(0, len(there), other, whole(places, np.float64), there)
         inside = np.isfinite(there[:, 0])
         if inside.sum() < _LEAST_POINTS:
             break
@@ -196,116 +195,33 @@ def _align(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarr
 def _misfit(one: np.ndarray, other: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """(h, w) mean difference of the pictures around each pixel under a motion; points out of the picture count as 0."""
     apart, around, across = np.empty_like(one), np.empty_like(one), np.empty(one.shape[::-1], np.float32)
-    differ(one, other, motion, apart)
-    average_rows(apart, across)
-    average_rows(across, around)
+    _differ(0, len(one), one, other, whole(motion, np.float32), apart)
+    _average(0, len(apart), apart, across)
+    _average(0, len(across), across, around)
     return around
 
 
-@compiled
-def shade(albedo: np.ndarray, normal: np.ndarray, step: int, means: np.ndarray) -> None:
-    """Means of step x step pixels of the root of the albedo and of a turn of the normal; a plane of 1x1 is absent."""
-    h, w = max(albedo.shape[0], normal.shape[0]), max(albedo.shape[1], normal.shape[1])
-    has_albedo, has_normal = albedo.shape[:2] == (h, w), normal.shape[:2] == (h, w)
-    for row in range(means.shape[0]):
-        for column in range(means.shape[1]):
-            total, count = np.float32(0), 0
-            for y in range(row * step, min((row + 1) * step, h)):
-                for x in range(column * step, min((column + 1) * step, w)):
-                    value = np.float32(0)
-                    if has_albedo:
-                        grey = (albedo[y, x, 0] + albedo[y, x, 1] + albedo[y, x, 2]) / np.float32(3)
-                        value += np.sqrt(min(max(grey, np.float32(0)), np.float32(1.5)))
-                    if has_normal:
-                        value += (np.float32(0.2) * normal[y, x, 0] + np.float32(0.28) * normal[y, x, 1]
-                                  + np.float32(0.12) * normal[y, x, 2])
-                    if abs(value) < np.float32(10):  # else it is not finite
-                        total += value
-                    count += 1
-            means[row, column] = total / np.float32(count)
+# Kernels: postfx/kernels/interpolate/estimated_motion.cpp
+
+_shade = Rows("estimate_shade")
+_smooth = Rows("estimate_smooth")
+_differ = Rows("estimate_differ")
+_average = Rows("estimate_average")
+_sample = Rows("estimate_sample")
+_move = Rows("estimate_move")
+_put = Rows("estimate_put")
 
 
-@compiled
-def smooth(picture: np.ndarray, smoothed: np.ndarray) -> None:
-    """Means over 3x3 pixels, weighted 1 2 1 each way; edges are repeated."""
-    h, w = picture.shape
-    for y in range(h):
-        up, down = max(y - 1, 0), min(y + 1, h - 1)
-        for x in range(w):
-            left, right = max(x - 1, 0), min(x + 1, w - 1)
-            outer = picture[up, left] + picture[up, right] + picture[down, left] + picture[down, right]
-            inner = picture[up, x] + picture[down, x] + picture[y, left] + picture[y, right]
-            smoothed[y, x] = (outer + 2 * inner + 4 * picture[y, x]) / np.float32(16)
+class _Camera(NamedTuple):
+    """Motion of a camera: H and e (11,), and the depth that e is in units of."""
 
+    numbers: np.ndarray
+    median: np.float32
 
-@compiled
-def differ(one: np.ndarray, other: np.ndarray, motion: np.ndarray, apart: np.ndarray) -> None:
-    """How far pixels are from where they were; 0 where that is out of the picture."""
-    h, w = one.shape
-    for y in range(h):
-        for x in range(w):
-            u, v = x + motion[y, x, 0], y + motion[y, x, 1]
-            inside = -0.5 < u < w - 0.5 and -0.5 < v < h - 0.5
-            apart[y, x] = abs(value_at(other, v, u) - one[y, x]) if inside else np.float32(0)
-
-
-@compiled
-def average_rows(plane: np.ndarray, turned: np.ndarray) -> None:
-    """Means over 2 x _AROUND + 1 pixels of each row, which becomes a column."""
-    h, w = plane.shape
-    for y in range(h):
-        total, count = np.float32(0), 0
-        for x in range(-_AROUND, w):
-            if x + _AROUND < w:
-                total, count = total + plane[y, x + _AROUND], count + 1
-            if x - _AROUND > 0:
-                total, count = total - plane[y, x - _AROUND - 1], count - 1
-            if x >= 0:
-                turned[x, y] = max(total, np.float32(0)) / np.float32(count)
-
-
-@compiled
-def sample(picture: np.ndarray, rows: np.ndarray, columns: np.ndarray, found: np.ndarray) -> None:
-    """Value and slope to the right and down between pixels; NaN out of the picture."""
-    h, w = picture.shape
-    half = np.float32(0.5)
-    for k in range(rows.size):
-        if not (1 <= rows[k] < h - 2 and 1 <= columns[k] < w - 2):
-            found[k, 0], found[k, 1], found[k, 2] = np.nan, 0, 0
-            continue
-        y, x = np.float32(rows[k]), np.float32(columns[k])
-        found[k, 0] = value_at(picture, y, x)
-        found[k, 1] = value_at(picture, y, x + half) - value_at(picture, y, x - half)
-        found[k, 2] = value_at(picture, y + half, x) - value_at(picture, y - half, x)
-
-
-@compiled
-def move(found: np.ndarray, median: Real, depth: np.ndarray, step: int, jitter_x: Real, jitter_y: Real,
-         motion: np.ndarray) -> None:
-    """The camera's motion in pixels of a picture that has one for `step` x `step` of the depth. found: float32."""
-    height, width = depth.shape[:2]
-    a, b, c, d, e, f, g, h, p, q, r = found
-    one, pixel, scale = np.float32(1), np.float32(step / width), np.float32(width / step)
-    left, top = np.float32((0.5 * step - 0.5 * width) / width), np.float32((0.5 * step - 0.5 * height) / width)
-    miss, none = np.float32(DEPTH_MISS), np.float32(0)
-    for row in range(motion.shape[0]):
-        at_row = min(row * step + step // 2, height - 1)
-        y = np.float32(row) * pixel + top
-        for column in range(motion.shape[1]):
-            z = depth[at_row, min(column * step + step // 2, width - 1), 0]
-            near = median / z if none < z < miss else none
-            x = np.float32(column) * pixel + left
-            over = max(g * x + h * y + one + r * near, np.float32(1e-3))  # a point behind the camera leads far away
-            over = one / over
-            motion[row, column, 0] = ((a * x + b * y + c + p * near) * over - x) * scale - jitter_x
-            motion[row, column, 1] = ((d * x + e * y + f + q * near) * over - y) * scale - jitter_y
-
-
-@compiled
-def put(flow: np.ndarray, moves: np.ndarray, step: int, jitter_x: Real, jitter_y: Real, motion: np.ndarray) -> None:
-    """The flow of things that move by themselves, in pixels of the frame."""
-    for y in range(motion.shape[0]):
-        for x in range(motion.shape[1]):
-            if moves[y // step, x // step]:
-                motion[y, x, 0] = flow[y // step, x // step, 0] * step - jitter_x
-                motion[y, x, 1] = flow[y // step, x // step, 1] * step - jitter_y
+    def move(self, depth: np.ndarray, step: int, jitter: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        """Motion (*shape, 2) in pixels of a picture that has one for `step` x `step` of the depth (height, width, 1).
+        jitter: (2,), what is taken off it."""
+        motion = np.empty((*shape, 2), np.float32)
+        numbers = np.array((*self.numbers, self.median, step, *jitter), np.float32)
+        _move(0, len(motion), numbers, whole(depth, np.float32), motion)
+        return motion

@@ -40,6 +40,20 @@ template <class T> struct Given {
     const T& operator*() const { return *at; }
 };
 
+// A struct of arrays that follow each other lists their types, in the order of its members:
+//
+//     struct Lit {
+//         View<const float, 3> colour, motion;
+//         typedef Arrays<View<const float, 3>, View<const float, 3>> Members;
+//     };
+template <class... A> struct Arrays {};
+
+// The same array of the frame before and of the one after.
+template <class T> struct Both {
+    T before, after;
+    typedef Arrays<T, T> Members;
+};
+
 // Memory of one call; it is false where there was none.
 extern "C" void* malloc(__SIZE_TYPE__);
 extern "C" void free(void*);
@@ -53,7 +67,11 @@ template <class T> struct Room {
 
 // Calls.
 
-template <class T> struct Taken;
+template <class T, class M> struct FromMembers;
+template <class T, class... A> struct FromMembers<T, Arrays<A...>>;
+template <class T> struct Taken {
+    static T from(const Word*& words) { return FromMembers<T, typename T::Members>::from(words); }
+};
 template <class T, int AXES> struct Taken<View<T, AXES>> {
     static View<T, AXES> from(const Word*& words) {
         View<T, AXES> view;
@@ -67,6 +85,9 @@ template <class T> struct Taken<Given<T>> {
         words += 2;
         return {(const T*)words[-2]};
     }
+};
+template <class T, class... A> struct FromMembers<T, Arrays<A...>> {
+    static T from(const Word*& words) { return T{Taken<A>::from(words)...}; }  // in this order
 };
 
 template <class... A> struct Call {
@@ -94,23 +115,34 @@ template <> constexpr const char* type_name<unsigned>() { return "u4"; }
 template <> constexpr const char* type_name<Long>() { return "i8"; }
 template <> constexpr const char* type_name<double>() { return "f8"; }
 
-template <class A> struct Kind;
-template <class T, int AXES> struct Kind<View<T, AXES>> {
-    static constexpr char text[] = {type_name<T>()[0], type_name<T>()[1], ':', '0' + AXES, 'w', 0};
+template <class T, class M> struct KindOfMembers;
+template <class T> struct Kind : KindOfMembers<T, typename T::Members> {};
+struct KindOfArray {
+    static constexpr int LETTERS = 5;
+    static constexpr void write(char*& to, const char* type, int axes, bool is_read) {
+        const char letters[] = {type[0], type[1], ':', char('0' + axes), is_read ? 'r' : 'w'};
+        for (int i = 0; i < LETTERS; i++) *to++ = letters[i];
+    }
 };
-template <class T, int AXES> struct Kind<View<const T, AXES>> {
-    static constexpr char text[] = {type_name<T>()[0], type_name<T>()[1], ':', '0' + AXES, 'r', 0};
+template <class T, int AXES> struct Kind<View<T, AXES>> : KindOfArray {
+    static constexpr void write(char*& to) { KindOfArray::write(to, type_name<T>(), AXES, false); }
 };
-template <class T> struct Kind<Given<T>> { static constexpr char text[] = "f4:1r"; };
+template <class T, int AXES> struct Kind<View<const T, AXES>> : KindOfArray {
+    static constexpr void write(char*& to) { KindOfArray::write(to, type_name<T>(), AXES, true); }
+};
+template <class T> struct Kind<Given<T>> : KindOfArray {
+    static constexpr void write(char*& to) { KindOfArray::write(to, "f4", 1, true); }
+};
+template <class T, class... A> struct KindOfMembers<T, Arrays<A...>> {
+    static constexpr int LETTERS = (Kind<A>::LETTERS + ... + 0);
+    static constexpr void write(char*& to) { (Kind<A>::write(to), ...); }
+};
 
 template <class... A> struct Kinds {
-    char text[5 * sizeof...(A) + 1] = {};
+    char text[(Kind<A>::LETTERS + ... + 1)] = {};
     constexpr Kinds() {
-        int place = 0;
-        (add(Kind<A>::text, place), ...);
-    }
-    constexpr void add(const char* kind, int& place) {
-        for (int i = 0; i < 5; i++) text[place++] = kind[i];
+        char* to = text;
+        (Kind<A>::write(to), ...);
     }
 };
 template <class R, class... A> const char* kinds_of(R (*)(Long, Long, A...)) {

@@ -8,8 +8,6 @@ import pytest
 from postfx import Between
 from postfx.frame import Frame, Role
 from postfx.interpolate import blend, choose, flow, paths, timing
-from postfx.kernels.numeric import compiled
-from postfx.sampling import cubic_three
 
 
 def bilinear(picture: np.ndarray, y: float, x: float, rows: int, columns: int) -> np.ndarray:
@@ -22,60 +20,79 @@ def bilinear(picture: np.ndarray, y: float, x: float, rows: int, columns: int) -
 
 
 def test_windows_are_compared_as_in_their_formula():
-    rng = np.random.default_rng(1)
-    before, after = rng.random((2, 40, 50), np.float32)
-    known, margin = np.ones((24, 34), np.bool_), choose.MARGIN
-    path = tuple(np.float32(one) for one in (1.3, -2.2, -0.6, 3.1, 1, 1))
+    before, after = np.random.default_rng(1).random((2, 40, 50), np.float32)
+    known, margin, path = np.ones((24, 34), np.bool_), choose.MARGIN, np.float32([1.3, -2.2, -0.6, 3.1])
+    toned = choose.Toned(before, after, known, known, 1)
+    ends = np.broadcast_to(path, (24, 34, 4)).copy()
+    side = paths.Paths(ends, np.zeros((24, 34, 2), np.float32), np.ones((24, 34, 1), np.float32),
+                       np.ones((24, 34), np.float32))
+    cells = np.zeros((24, 34, 8), np.float32)
+    cells[..., :4], cells[..., 4:6] = path, 1
+    unlikely = cells.copy()
+    choose.measure_detail(toned, 1.0, cells)
+    choose.measure_detail(toned, 0.0, unlikely)
 
-    @compiled
-    def run(one, other, known, path, noise):
-        y, x = np.float32(11), np.float32(15.5)
-        misfit = choose.misfit(one, other, known, known, y, x, path)
-        return misfit, choose.sharpness(one, other, known, y, x, path, noise)
+    def windows(y: float, x: float) -> list[np.ndarray]:
+        return [bilinear(picture, y + v - 2.5 + margin, x + u - 3.5 + margin, 6, 9).astype(float)
+                for picture, u, v in ((before, 1.3, -2.2), (after, -0.6, 3.1))]
 
-    found = run(before.ravel(), after.ravel(), known, path, np.float32(1))
-    unlikely = run(before.ravel(), after.ravel(), known, path, np.float32(0))
-    first, last = (bilinear(picture, 11 + v - 2.5 + margin, 15.5 + u - 3.5 + margin, 6, 9).astype(float)
-                   for picture, u, v in ((before, 1.3, -2.2), (after, -0.6, 3.1)))
     taper = np.array(choose.TAPER)
-    assert found[0] == pytest.approx((np.abs(first - last)[:, :8] * taper).sum() / choose.COUNT, rel=1e-4)
+    first, last = windows(10, 14)
+    assert choose.measure_misfits(toned, side)[2, 3] == pytest.approx(
+        (np.abs(first - last)[:, :8] * taper).sum() / choose.COUNT, rel=1e-4)
+    first, last = windows(10.5, 14.5)  # of four cells
     apart, common = ((taper * (np.diff(one[:, :8], axis=0)**2).sum(0)).sum() + (taper * np.diff(one, axis=1)**2).sum()
                      for one in (first - last, first + last))
-    assert found[1] == pytest.approx(max(1 - apart / common, 0), abs=1e-4)
-    assert unlikely[1] == 1, "without noise nothing is blurred"
+    assert cells[10, 14, 6] == pytest.approx(max(1 - apart / common, 0), abs=1e-4)
+    assert unlikely[10, 14, 6] == 1, "without noise nothing is blurred"
 
 
 def test_patches_of_the_flow_are_compared_as_in_their_formula():
+    """Each patch's misfit is that of the motion that was found for it."""
     one, other = np.random.default_rng(2).random((2, 40, 50), np.float32)
     margin, size = flow.MARGIN, flow.PATCH
+    moved = np.zeros((4, 6, 3), np.float32)
+    flow._search(0, 1, one, other, np.full((20, 30, 2), 0.4, np.float32), moved)
+    for row, column in ((0, 0), (1, 2), (3, 5)):
+        u, v, misfit = moved[row, column].astype(float)
+        top, left = 4 * row + margin, 4 * column + margin
+        patch = bilinear(other, top + v, left + u, size, size)[:size, :size] - one[top:, left:][:size, :size]
+        assert misfit == pytest.approx(patch.var(), rel=1e-3)
 
-    @compiled
-    def run(one, other):
-        return flow.misfit(one, other, 20, 30, 5, 7, np.float32(2.3), np.float32(-1.6))
 
-    patch = bilinear(other, 5 - 1.6 + margin, 7 + 2.3 + margin, size, size)
-    patch -= one[5 + margin:, 7 + margin:][:size, :size]
-    assert run(one.ravel(), other.ravel()) == pytest.approx(patch.var(), rel=1e-4)
+def taps(t: float, sharp: float) -> np.ndarray:
+    spline = [(1 - t)**3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]
+    catmull_rom = [-t**3 + 2 * t**2 - t, 3 * t**3 - 5 * t**2 + 2, -3 * t**3 + 4 * t**2 + t, t**3 - t**2]
+    return sharp / 2 * np.array(catmull_rom) + (1 - sharp) / 6 * np.array(spline)
+
+
+def cubic(picture: np.ndarray, y: float, x: float, sharp: float) -> np.ndarray:
+    """A picture at a place, within the range of the four pixels around it."""
+    j, i = int(np.floor(y)), int(np.floor(x))
+    near = picture[j:j + 2, i:i + 2]
+    found = np.einsum("jic,j,i->c", picture[j - 1:j + 3, i - 1:i + 3], taps(y - j, sharp), taps(x - i, sharp))
+    return found.clip(near.min((0, 1)), near.max((0, 1)))
+
+
+def composed(cells: np.ndarray, pictures: blend.Pair, depth: blend.Pair | None = None, t: float = 0.5, scale: int = 1
+             ) -> np.ndarray:
+    """The colour between two pictures."""
+    size = pictures[0].shape[:2]
+    known, nothing = np.ones(size, bool), np.empty((*size, 0), np.float32)
+    none = np.empty((0, 0, 1), np.float32)
+    planes = blend.Planes(pictures, (known, known), depth or (none, none), (nothing, nothing), (nothing, nothing))
+    return blend.compose(cells, planes, blend.Mixture(t, scale, 1.0, False, (0.0, 0.0)), False)[0]
 
 
 @pytest.mark.parametrize("sharp", [0, 0.4, 1])
 def test_pictures_are_sampled_by_cubics_within_the_range_of_four_pixels(sharp):
+    """In the middle, and near an edge, which is sampled otherwise."""
     picture = np.random.default_rng(3).random((12, 14, 3), np.float32)
-    j, i, v, u = 5, 6, 0.3, 0.8
-
-    @compiled
-    def run(flat, sharp):
-        return cubic_three(flat, ((j - 1) * 14 + i - 1) * 3, 14 * 3, np.float32(v), np.float32(u), sharp)
-
-    def taps(t):
-        spline = [(1 - t)**3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]
-        catmull_rom = [-t**3 + 2 * t**2 - t, 3 * t**3 - 5 * t**2 + 2, -3 * t**3 + 4 * t**2 + t, t**3 - t**2]
-        return sharp / 2 * np.array(catmull_rom) + (1 - sharp) / 6 * np.array(spline)
-
-    near = picture[j:j + 2, i:i + 2]
-    wanted = np.einsum("jic,j,i->c", picture[j - 1:j + 3, i - 1:i + 3], taps(v), taps(u)).clip(near.min((0, 1)),
-                                                                                              near.max((0, 1)))
-    np.testing.assert_allclose(run(picture.ravel(), np.float32(sharp)), wanted, rtol=1e-5)
+    cells = np.zeros((12, 14, 8), np.float32)
+    cells[..., :2], cells[..., 4], cells[..., 6:] = (0.8, 0.3), 1, (sharp, 1)
+    found = composed(cells, (picture, picture[::-1].copy()))
+    for y, x in ((5, 6), (8, 10), (1, 11)):
+        np.testing.assert_allclose(found[y, x], cubic(picture, y + 0.3, x + 0.8, sharp), rtol=1e-5)
 
 
 def inside(plane: np.ndarray) -> np.ndarray:
@@ -108,76 +125,39 @@ def test_the_nearest_surface_is_found_where_a_path_is_at_the_time():
     ends, bend = np.zeros((12, 12, 4), np.float32), np.zeros((12, 12, 2), np.float32)
     depth, nearest = np.full((12, 12, 1), 9, np.float32), np.full((12, 12), np.inf, np.float32)
     ends[3, 4], bend[3, 4], depth[3, 4] = (1, 2, 3, 6), (1, 2), 1
-    paths.splat_nearest(ends, bend, depth, 0.75, nearest)
+    paths._splat_nearest(0, 12, ends, bend, depth, np.float32([0.75, 0.75 * -0.25]), nearest)
     across, down = 1 + 0.75 * 2 - 0.1875 * 1, 2 + 0.75 * 4 - 0.1875 * 2
     assert np.argwhere(nearest == 1).tolist() == [[int(3.5 + down), int(4.5 + across)]]
 
 
-@pytest.mark.parametrize(("beside", "between"), [(1.0, 1.0), (0.9, 0.6)])
-def test_a_cell_that_keeps_all_detail_keeps_it_up_to_the_middle_of_those_beside(beside, between):
+@pytest.mark.parametrize(("beside", "shares"), [(1.0, (0.5, 1, 1, 1)), (0.9, (0.5, 0.6, 0.8, 0.9))])
+def test_a_cell_that_keeps_all_detail_keeps_it_up_to_the_middle_of_those_beside(beside, shares):
     """So that light does not leak over an edge; other cells share."""
-    cells = np.zeros((4, 4, 8), np.float32)
-    cells[..., 4:6], cells[..., 7] = 1, 1
-    cells[:, :2, 6], cells[:, 2:, 6] = 0.5, beside
-    paths, places, across = np.empty((8, 8), np.float32), np.empty(8, np.uint64), np.empty(8, np.float32)
-    blend.place_row(4, np.float32(0.5), places, across)
-    upper, lower = np.empty((2, 64), np.float32)
-    for row, wide in ((1, upper), (2, lower)):
-        blend.widen_row(cells.ravel(), row, 4, places, across, wide)
-    blend.find_row(cells.ravel(), 1, 4, np.float32(0.75), places, upper, lower, paths)
-    np.testing.assert_allclose(paths[:, 6], [0.5, 0.5, 0.5, between, (between if beside == 1 else 0.8), beside, beside,
-                                             beside], rtol=1e-6)
-
-
-@pytest.mark.parametrize("alike", [(), (0, 1), (2, 3), (0, 3), (1, 2), (0, 1, 2, 3), (1, 3), (0, 2)])
-def test_of_cells_that_follow_one_path_one_has_all_of_a_pixel(alike):
-    """The pixel (1, 1) lies a quarter of the way from the first of four cells to the others."""
-    cells = np.zeros((2, 2, 8), np.float32)
-    cells[..., 4:6], cells[..., 0].flat = 1, [0, 5, 10, 15]
-    for k in alike:
-        cells[..., 0].flat[k] = 20
-    paths, row, mixture = np.zeros((4, 8), np.float32), np.zeros((4, 3), np.float32), np.zeros((4, 4), np.float32)
-    row[1, 0] = np.nan
-    places, across = np.empty(4, np.uint64), np.empty(4, np.float32)
-    columns, listed = np.empty(16, np.float32), np.empty(128, np.float32)
-    blend.place_row(2, np.float32(0.5), places, across)
-    count = blend.list_row(cells.ravel(), 2, 2, np.float32(0.5), 1, places, across, paths, row, mixture, columns,
-                           listed)
-    shares = np.array([0.5625, 0.1875, 0.1875, 0.0625])
-    wanted = shares.copy()
-    wanted[list(alike)] = 0
-    wanted[list(alike[:1])] = shares[list(alike)].sum()
-    np.testing.assert_allclose(mixture[1], wanted)
-    found = listed.reshape(-1, 8)[:count]
-    np.testing.assert_array_equal(found, cells.reshape(4, 8)[wanted > 0])
-    assert (columns[:count] == 1).all()
+    picture = np.random.default_rng(3).random((16, 16, 3), np.float32)
+    cells = np.zeros((8, 8, 8), np.float32)
+    cells[..., :2], cells[..., 4], cells[..., 6:] = (0.25, 0.5), 1, (0.5, 1)
+    cells[:, 4:, 6] = beside
+    found = composed(cells, (picture, picture), scale=2)
+    for x, sharp in zip((6, 7, 8, 9), shares, strict=True):
+        np.testing.assert_allclose(found[7, x], cubic(picture, 7.5, x + 0.25, sharp), rtol=1e-4)
 
 
 def test_a_pixel_mixes_what_its_paths_show_by_how_well_both_frames_agree():
-    """Less of what lies behind another thing that both frames show; the path that weighs most is kept."""
-    found = np.array([[3, 3, 3, 2, 2, 2, 0.5, 0.5, 1, 1], [8, 8, 8, 0, 0, 0, 1, 0, 2, np.inf],
-                      [5, 5, 5, 5, 5, 5, 0.25, 0.75, 1.05, np.inf]], np.float32)
-    shares, hidden = np.array([0.5, 0.2, 0.3]), np.array([1, blend.HIDDEN, 1])
+    """Less of what lies behind another thing that both frames show. The pixel (1, 1) lies a quarter of the way from the
+    first of four cells to the others; the third follows the path of the first."""
+    before, after, near = np.ones((4, 40, 3), np.float32), np.ones((4, 40, 3), np.float32), np.ones((4, 40, 1), "f4")
+    before[:, 8:14], after[:, 8:14] = 3, 2
+    before[:, 18:24], near[:, 18:24] = 8, 2
+    before[:, 28:34], after[:, 28:34], near[:, 28:34] = 5, 5, 1.05
+    cells = np.zeros((2, 2, 8), np.float32)
+    cells[..., 4:7] = 1
+    cells[0, 1, 5] = 0
+    cells[..., 0] = cells[..., 2] = [[10, 20], [10, 30]]
+    shares, hidden = np.array([0.75, 0.1875, 0.0625]), np.array([1, blend.HIDDEN, 1])
     apart = np.array([3 / 15, blend.UNSURE, 0])
     weights = shares * hidden / (blend.ALIKE + apart**2)
-    wanted = weights @ [2.5, 8, 5] / weights.sum()
-    listed, pixels_listed = np.arange(24, dtype=np.float32), np.arange(24, dtype=np.int32)
-    paths, pixels = np.zeros((1, 8), np.float32), np.zeros((1, 8), np.int32)
-    of_frames, mixture = np.zeros((1, 2), np.float32), np.zeros((1, 4), np.float32)
-    row = np.full((1, 3), np.nan, np.float32)
-    mixture[0, [0, 1, 3]] = shares
-    blend.mix_row(listed, pixels_listed, found, True, np.float32(1), paths, pixels, of_frames, mixture, row)
-    np.testing.assert_allclose(row[0], wanted, rtol=1e-5)
-    np.testing.assert_allclose(mixture[0, [0, 1, 3]], weights / weights.sum(), rtol=1e-5)
-    assert of_frames[0].tolist() == [0.25, 0.75] and paths[0, :7].tolist() == list(range(16, 23))
-    assert pixels[0, 4:].tolist() == [20, 21, 22, 23]
-
-
-def test_depth_is_that_of_the_pixels_cell():
-    depth = np.arange(12, dtype=np.float32).reshape(3, 4, 1)
-    places = {(0, 0): 0, (1, 1): 0, (2, 3): 5, (-3, 5): 2, (4, -1): 8, (9, 9): 11}
-    for (y, x), wanted in places.items():
-        assert choose.depth_at(depth, np.float32(y), np.float32(x), np.float32(2)) == wanted
+    found = composed(cells, (before, after), (near, near), scale=2)
+    np.testing.assert_allclose(found[1, 1], weights @ [2.5, 8, 5] / weights.sum(), rtol=1e-5)
 
 
 def test_inverted_motion_is_led_to_where_motion_leads_back():
@@ -187,19 +167,25 @@ def test_inverted_motion_is_led_to_where_motion_leads_back():
     motion = np.stack([x * np.cos(turn) - y * np.sin(turn) - x, x * np.sin(turn) + y * np.cos(turn) - y], -1)
     wanted = np.stack([x * np.cos(turn) + y * np.sin(turn) - x, y * np.cos(turn) - x * np.sin(turn) - y], -1)
     inverse = (wanted + np.random.default_rng(3).uniform(-0.4, 0.4, wanted.shape)).astype(np.float32)
-    paths.refine(0, 40, motion.astype(np.float32), inverse)
+    paths.refine(motion.astype(np.float32), inverse)
     assert np.abs(inverse - wanted)[np.hypot(y, x) < 16].max() < 0.06
 
 
 def test_motion_that_changes_from_pixel_to_pixel_is_found_in_any_direction():
-    place = np.float32(0.5), np.float32(0.5)
-    assert not paths.is_sloping(np.ones((3, 3, 2), np.float32), *place)
-    for pixel in ((0, 0), (0, 1), (1, 0), (1, 1)):
+    """Then inverted motion is led on, else it is left as it is, even where it misses by a tenth of a pixel."""
+    def refined(motion: np.ndarray) -> bool:
+        inverse = np.full((4, 4, 2), 99, np.float32)
+        inverse[1, 1] = 0.5
+        paths.refine(motion, inverse)
+        return bool((inverse[1, 1] != 0.5).any())
+
+    assert not refined(np.full((4, 4, 2), -0.6, np.float32))
+    for pixel in ((1, 1), (1, 2), (2, 1), (2, 2)):
         for channel in range(2):
-            for change in (-0.1, 0.1):
-                motion = np.ones((3, 3, 2), np.float32)
+            for change in (-0.4, 0.4):
+                motion = np.full((4, 4, 2), -0.6, np.float32)
                 motion[(*pixel, channel)] += change
-                assert paths.is_sloping(motion, *place), (pixel, channel, change)
+                assert refined(motion), (pixel, channel, change)
 
 
 def test_flow_is_moved_along_itself_where_planes_do_not_know_of_it():
@@ -240,9 +226,9 @@ def test_a_spark_of_the_farther_frame_is_left_out_with_its_edge(is_first):
     later[np.logical_and(later < 1, np.roll(later, 1, 1) > 1)] = 3  # half of a spark
     dim, cells = np.float32(0.3), np.zeros((33, 46, 8), np.float32)
     cells[..., 4:6] = 1
-    own, marks = cells.copy(), np.empty((33, 46), np.uint8)
-    sparks = [timing.find_sparks(picture, 2, dim, (33, 46)) for picture in (before, after)]
-    timing.settle_sparks(0, 33, before, after, *sparks, own, 2, dim, is_first, cells, marks)
+    marks = [timing.find_sparks(picture, 2, dim, (33, 46)) for picture in (before, after)]
+    sparks = timing.Sparks((before, after), marks, 2, dim)
+    timing.settle_sparks(sparks, 0.25 if is_first else 0.75, cells.copy(), cells)
     near, far = ((20, 30), (44, 60)) if is_first else ((44, 60), (20, 30))
     of_one = cells[..., 4] + cells[..., 5] == 1
     assert cells[far[0] // 2, far[1] // 2, 4:6].tolist() == [is_first, not is_first]
@@ -257,12 +243,12 @@ def test_light_of_sparks_that_are_hidden_goes_to_those_that_are_shown():
     before, after, picture = dark_with((20, 30, 90), (50, 70, 30)), dark_with((20, 60, 60)), dark_with((20, 30, 70))
     kept, dim, own = picture.copy(), np.float32(0.3), np.zeros((66, 91, 8), np.float32)
     own[..., 4:6] = 1
-    sparks = [timing.find_sparks(one, 1, dim, (66, 91)) for one in (before, after)]
-    marks = np.maximum(*sparks)
-    timing.keep_sparks((before, after), sparks, own, marks, 1, dim, 0.25, picture)
+    found = [timing.find_sparks(one, 1, dim, (66, 91)) for one in (before, after)]
+    marks, sparks = np.maximum(*found), timing.Sparks((before, after), found, 1, dim)
+    timing.keep_sparks(sparks, 0.25, own, marks, picture)
     light = [float((one - 0.1).sum()) for one in (before, after, picture)]
     assert light[2] == pytest.approx(0.75 * light[0] + 0.25 * light[1], rel=1e-4)
     np.testing.assert_array_equal(picture[kept < 1], kept[kept < 1])
     few = dark_with((20, 30, 20))
-    timing.keep_sparks((before, after), sparks, own, marks, 1, dim, 0.25, few)
+    timing.keep_sparks(sparks, 0.25, own, marks, few)
     assert few.max() == pytest.approx(0.1 + timing.SCALES[1] * (20 / 3 - 0.1), rel=1e-4), "within bounds"

@@ -14,7 +14,6 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 WANTED = {
     "postfx.kernels.pixel_formats.predict_bytes": [["|u1:1", "|u1:1"], ["|u1:1r", "|u1:1"]],
     "postfx.kernels.pixel_formats.dither_rows": [["<f4:2", "f", "<f4:2", "|u1:2"]],
-    "postfx.interpolate.timing.count_marks": [["<u4:1", "q"], ["<i8:1", "q"], ["<f8:1", "q"]],
     "postfx.kernels.partner.enlarge_motion_rows": [["q", "q", "<f4:3", "<f4:1", "<f4:1", "<f4:1", "<f4:3"]],
     "postfx.runtime.threads.is_called": [["<i8:2", "q", "q", "q"]],
     "postfx.runtime.threads.hand_out": [["<i8:2", "q", "q", "q", "q"]],
@@ -38,7 +37,6 @@ import numpy as np
 from postfx.kernels import native
 
 native.FOLDER = Path(sys.argv[1])
-from postfx.interpolate.timing import count_marks
 from postfx.kernels.numeric import clamp, compiled
 from postfx.kernels.partner import ENLARGE_MOTION, enlarge_motion_rows
 from postfx.kernels.pixel_formats import dither_rows, predict_bytes
@@ -60,7 +58,6 @@ def results(call):
     flat, grey = light.reshape(40, 144), np.full((64, 64), 0.5, np.float32)
     found = [call(predict_bytes, values, bytes_of), bytes_of.copy(), call(predict_bytes, fixed, bytes_of), bytes_of,
              call(dither_rows, flat, np.float32(255), grey, codes), codes,
-             *(call(count_marks, values.astype(kind), 100) for kind in (np.uint32, np.int64, np.float64)),
              call(are_done, np.zeros((2, 8), np.int64), 1, 10),
              call(enlarge_motion_rows, 0, 17, motion, *places, ratio, small), small]
     return found
@@ -85,11 +82,6 @@ for one, other in zip(native_results, results(lambda function, *arguments: funct
     np.testing.assert_array_equal(one, other)
 assert np.ptp(by_device) > 0
 np.testing.assert_array_equal(by_device, native_results[-1])
-
-known = len(count_marks.dispatcher.overloads)
-assert count_marks(np.arange(7, dtype=np.uint32)[::2], 4) == 2  # with gaps: Numba's
-assert len(count_marks.dispatcher.overloads) == known + 1
-
 
 @compiled
 def double(x):
