@@ -6,7 +6,7 @@ __device__ inline void features_of(const float* normal, int x, int y, int width,
     found[3] = (2 * x + 1) / float(width) - 1, found[4] = (2 * y + 1) / float(height) - 1;
 }
 
-extern "C" __global__ void shade_by_network(View network, View parameters, View normal, View albedo, View shaded) {
+extern "C" __global__ void shade_by_network(View parameters, View normal, View albedo, View shaded) {
     const int height = shaded.size[0], width = shaded.size[1];
     PIXEL(width, height);
     const size_t at = 3 * (size_t(y) * width + x);

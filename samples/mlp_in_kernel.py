@@ -8,64 +8,24 @@ difference and the median times of runs in turn.
 import argparse
 import statistics
 import time
+from pathlib import Path
 
 import numpy as np
 
 from postfx import Device
 from postfx.kernels import Kernel
-from postfx.kernels.mlp import STRIP, mlp, mlp_features, mlp_space
-from postfx.kernels.numeric import compiled
+from postfx.kernels.library import Rows
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable
 
 NETWORK = Network(5, (32, 32), 3, "gelu")
-
-
-@compiled
-def shade_rows(y0, y1, network, parameters, normal, albedo, shaded):
-    height, width = shaded.shape[:2]
-    space = mlp_space(network)
-    features = mlp_features(space)
-    for y in range(y0, y1):
-        for first in range(0, width, STRIP):
-            count = min(STRIP, width - first)
-            for p in range(count):
-                for c in range(3):
-                    features[c, p] = normal[y, first + p, c]
-                features[3, p] = np.float32((2 * (first + p) + 1) / width - 1)
-                features[4, p] = np.float32((2 * y + 1) / height - 1)
-            light = mlp(network, parameters, space)
-            for p in range(count):
-                for c in range(3):
-                    shaded[y, first + p, c] = albedo[y, first + p, c] * max(light[c, p], np.float32(0))
-
-
-@compiled
-def feature_rows(y0, y1, normal, points):
-    height, width = normal.shape[:2]
-    for y in range(y0, y1):
-        for x in range(width):
-            for c in range(3):
-                points[y, x, c] = normal[y, x, c]
-            points[y, x, 3] = np.float32((2 * x + 1) / width - 1)
-            points[y, x, 4] = np.float32((2 * y + 1) / height - 1)
-
-
-@compiled
-def value_rows(y0, y1, albedo, values, shaded):
-    for y in range(y0, y1):
-        for x in range(shaded.shape[1]):
-            for c in range(3):
-                shaded[y, x, c] = albedo[y, x, c] * max(values[y, x, c], np.float32(0))
-
-
+HEADER = Path(__file__).with_suffix(".h")
 IMAGE = ("height", "width", 3)
-FACTS, COUNT = NETWORK.facts().shape, (NETWORK.count,)
-ONE = Kernel("shade_by_network", ("network", "parameters", "normal", "albedo"), ("shaded",), shade_rows, ("shaded", 0),
-             {"network": FACTS, "parameters": COUNT, "normal": IMAGE, "albedo": IMAGE, "shaded": IMAGE})
-FEATURES = Kernel("features_of_pixels", ("normal",), ("points",), feature_rows, ("points", 0),
+ONE = Kernel("shade_by_network", ("parameters", "normal", "albedo"), ("shaded",), Rows("shade_by_network", HEADER),
+             ("shaded", 0), {"parameters": (NETWORK.count,), "normal": IMAGE, "albedo": IMAGE, "shaded": IMAGE})
+FEATURES = Kernel("features_of_pixels", ("normal",), ("points",), Rows("features_of_pixels", HEADER), ("points", 0),
                   {"normal": IMAGE, "points": ("height", "width", 5)})
-SHADE = Kernel("shade_by_values", ("albedo", "values"), ("shaded",), value_rows, ("shaded", 0),
+SHADE = Kernel("shade_by_values", ("albedo", "values"), ("shaded",), Rows("shade_by_values", HEADER), ("shaded", 0),
                {"albedo": IMAGE, "values": IMAGE, "shaded": IMAGE})
 
 
@@ -101,10 +61,8 @@ def main():
     planes = {name: tensor(name, (*size, 3)) for name in ("normal", "albedo", "values", "one", "three")}
     planes["normal"].upload(normal)
     planes["albedo"].upload(albedo)
-    network = tensor("network", FACTS)
-    network.upload(NETWORK.facts())
     states = {kernel: device.compute_state(kernel) for kernel in (ONE, FEATURES, SHADE)}
-    one = ArgumentTable(states[ONE], {"network": network, "parameters": learner.parameters, "shaded": planes["one"],
+    one = ArgumentTable(states[ONE], {"parameters": learner.parameters, "shaded": planes["one"],
                                       "normal": planes["normal"], "albedo": planes["albedo"]})
     features = ArgumentTable(states[FEATURES], {"normal": planes["normal"], "points": points})
     shade = ArgumentTable(states[SHADE], {"albedo": planes["albedo"], "values": planes["values"],

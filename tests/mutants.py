@@ -85,7 +85,7 @@ ROOMS = (
     *_kernels("upsample", 3, "denoise_upsample"),
     *_kernels("parts", 1, "denoise_accumulate_part", "denoise_reflectance", "denoise_upsample_light", "denoise_balance",
               "denoise_decode"),
-    _room("kernels/neural.py", 2, "neural"),
+    _room("kernels/neural.", 2, "neural"),
     _room("kernels/common.cuh", 0, "kernels/test_cuda_kernels.py", "-k 'denoise_history or denoise_upsample_light'"),
     _room("kernels/denoise/__init__.py", 0, *_in("kernels", "denoise_kernels")),
     _room("kernels/image.", 3, "kernels", *_in("passes", "composite_overlay"), "test_sampling.py",

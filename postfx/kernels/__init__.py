@@ -151,9 +151,15 @@ def read_source(family: Path) -> str:
     view = (SHARED / "view.cuh").read_text()
     own = "".join(path.read_text() for path in (family.with_suffix(".cuh"), family) if path.exists())
     if not family.is_relative_to(SOURCES):
-        return view + own.replace("#include <postfx/mlp.cuh>", (SHARED / "mlp.cuh").read_text(), 1)
+        return view + own.replace("#include <postfx/mlp.cuh>", _network_source(), 1)
     source = (SHARED / "common.cuh").read_text() + own
     return view + print_constants(constants_of(family, source)) + source
+
+
+def _network_source() -> str:
+    """`<postfx/mlp.cuh>`, with the header that a CPU has, too, in its place."""
+    header = re.sub(r"^#(?:pragma|include) .*\n", "", (SHARED / "mlp.h").read_text(), flags=re.M)
+    return (SHARED / "mlp.cuh").read_text().replace('#include "mlp.h"\n', header)
 
 
 @cache

@@ -1,43 +1,43 @@
 """A small network inside of a kernel of one's own, between its other instructions.
 
-On the CPU a kernel evaluates `STRIP` points at once, so that products fill vector registers:
+A kernel in C++ includes `mlp.h`, one for CUDA `<postfx/mlp.cuh>`; both call the same function:
+
+    mlp<GELU, 14, 64, 64, 3>(parameters.at, features, values);
+
+`parameters` is a binding: those of a `postfx.neural.Network` without bands. A vector of points is evaluated at once, on
+a GPU a thread's point. Rows that are Python evaluate some points by the functions here:
 
     space = mlp_space(network)
-    features = mlp_features(space)           # (numbers, STRIP), which the kernel fills
-    values = mlp(network, parameters, space)  # (numbers, STRIP)
+    features = mlp_features(space)            # (numbers, points), which the rows fill
+    values = mlp(network, parameters, space)  # (outputs, points)
 
-`network` and `parameters` are bindings: `facts()` and the parameters of a `postfx.neural.Network` without bands. On a
-GPU a thread evaluates its point by `mlp<GELU, 14, 64, 64, 3>(parameters.at, features, values)` of `mlp.cuh`, which a
-plug-in's source includes by `#include <postfx/mlp.cuh>`.
+`network` is `facts()` of the network.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.neural import LAYERS, MOST_LAYERS, run_layers, widest
-from postfx.kernels.numeric import compiled
-from postfx.kernels.vectors import STRIP
+from postfx.kernels.neural import FORWARD, INPUTS, LAYERS, SIZES
 
 __all__ = ["STRIP", "mlp", "mlp_features", "mlp_space"]
 
-
-@compiled
-def mlp_space(network: np.ndarray) -> np.ndarray:
-    """Memory for one strip, made once by each call of a kernel's rows."""
-    return np.zeros((2, MOST_LAYERS + 1, widest(network) * STRIP), np.float32)
+STRIP = 32
+"""Points that kernels of networks evaluate at once."""
 
 
-@compiled
+def mlp_space(network: np.ndarray, points: int = STRIP) -> np.ndarray:
+    """Memory for so many points, made once by each call of a kernel's rows."""
+    return np.zeros((points, int(network[INPUTS])), np.float32)
+
+
 def mlp_features(space: np.ndarray) -> np.ndarray:
-    """What the first layer reads, (numbers, STRIP); rows beyond the network's inputs do not count."""
-    rows: np.ndarray = space[0, 0].reshape((-1, STRIP))
-    return rows
+    """What the first layer reads, float32 (inputs, points)."""
+    return space.T
 
 
-@compiled
 def mlp(network: np.ndarray, parameters: np.ndarray, space: np.ndarray) -> np.ndarray:
-    """What the last layer makes of the features, (numbers, STRIP), until the next call."""
-    run_layers(network, parameters, space[0], space[1], 0)
-    rows: np.ndarray = space[0, int(network[LAYERS])].reshape((-1, STRIP))
-    return rows
+    """What the last layer makes of the features, float32 (outputs, points)."""
+    values = np.empty((len(space), int(network[SIZES + int(network[LAYERS])])), np.float32)
+    FORWARD.rows(0, len(space), network, parameters, space, values)
+    return values.T

@@ -138,7 +138,7 @@ __device__ inline void run_narrow(const Network& net, const float* biases, float
 #pragma unroll
                 for (int k = 0; k < 32 * DEPTH; k++) {
                     const int d = k / 32, n = k / 4 % 8;
-                    left[d][n][k % 4] = net.activation == RELU ? fmaxf(sums[d][n][k % 4], 0.0f) : sums[d][n][k % 4];
+                    left[d][n][k % 4] = net.activation == RELU ? relu_of(sums[d][n][k % 4]) : sums[d][n][k % 4];
                 }
                 continue;
             }
@@ -493,7 +493,8 @@ extern "C" __global__ void __launch_bounds__(THREADS) neural_grid_pull(View grid
         for (int corner = 0; corner < 1 << dims; corner++) {
             const Corner found = corner_of(grid, level, points.at + size_t(p) * points.size[1], corner);
             for (int k = 0; k < numbers; k++) {
-                const long long units = llrint(double(found.share * pull[k]) * UNITS);
+                const float own = clamped(found.share * pull[k], -MOST_PULL, MOST_PULL);
+                const long long units = llrint(double(own) * UNITS);
                 if (units) atomicAdd(row + found.entry * numbers + k, (unsigned long long)(units));
             }
         }

@@ -24,6 +24,8 @@ __device__ inline void add_product(float (&sums)[4], const unsigned (&left)[4], 
 
 const int WARPS = THREADS / 32, TILE = 16, MOST_POINTS = TILE * WARPS, GROUPED = 4;
 
+__device__ inline float relu_of(float z) { return z < 0.0f ? 0.0f : z; }  // NaN stays NaN
+
 __device__ inline int up_to(int size, int unit) {
     return (size + unit - 1) / unit * unit;
 }
@@ -307,8 +309,8 @@ __device__ inline void activate_rows(int kind, int makes, const float (&sums)[TI
     const int width = up_to(makes, 32), q = threadIdx.x % 4, column = threadIdx.x % 32;
     each_pair<TILES>(rows, width, [&](int n, int r, Pair& pair) {
         const float x = sums[n][2 * r], y = sums[n][2 * r + 1];
-        pair.x = 8 * n + 2 * q < makes ? kind == RELU ? fmaxf(x, 0.0f) : x : 0.0f;
-        pair.y = 8 * n + 2 * q + 1 < makes ? kind == RELU ? fmaxf(y, 0.0f) : y : 0.0f;
+        pair.x = 8 * n + 2 * q < makes ? kind == RELU ? relu_of(x) : x : 0.0f;
+        pair.y = 8 * n + 2 * q + 1 < makes ? kind == RELU ? relu_of(y) : y : 0.0f;
     });
     __syncwarp();
     if (kind == RELU) return;

@@ -2,9 +2,10 @@
 
     python -m tests.kernels.kernel_times COMMIT MODULE:KERNEL ... [--level v3 vnni]
 
-such as `denoise.alpha:FIT`, at levels of the processor: those of `build.py`. Both commits run the same random arguments
-of 960x544, enlarged to twice that size, in processes of one thread that take turns in one run. It prints the medians of
-processor time, their ratio, and the largest difference in units of the largest value.
+such as `denoise.alpha:FIT` or `samples.mlp_in_kernel:ONE`, at levels of the processor: those of `build.py`. Both
+commits run the same random arguments of 960x544, enlarged to twice that size, or 16384 points of a network, in
+processes of one thread that take turns in one run. It prints the medians of processor time, their ratio, and the
+largest difference in units of the largest value.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from postfx.kernels import Kernel, native
-from tests.kernels import denoise_cases, tonemap_cases
+from tests.kernels import denoise_cases, neural_cases, tonemap_cases
 
 ROOT = Path(__file__).resolve().parents[2]
 HEIGHT, WIDTH = 544, 960
@@ -37,13 +38,15 @@ from importlib import import_module
 import numpy as np
 module, name, folder, level = sys.argv[1:]
 from postfx.kernels.native import bind_rows
-kernel = getattr(import_module("postfx.kernels." + module), name)
-rows = type(kernel.rows)(kernel.rows.name, level=level) if type(kernel.rows).__name__ == "Rows" else kernel.rows
+kernel = getattr(import_module(module), name)
+rows = kernel.rows
+if type(rows).__name__ == "Rows":
+    rows = type(rows)(rows.name, rows.header, level)
 given = np.load(folder + "/given.npz")
-arrays = [given[name] for name in given.files]
-count = int(arrays.pop()[0])
+names = dict.fromkeys((*kernel.reads, *kernel.writes))
+arrays, count = [given[name] for name in names], int(given["number of rows"])
 rows(0, count, *arrays)
-np.savez(sys.stdin.readline().strip(), *arrays[len(kernel.reads):])
+np.savez(sys.stdin.readline().strip(), *(array for name, array in zip(names, arrays) if name in kernel.writes))
 print("ready", flush=True)
 run = bind_rows(rows, arrays)
 for line in sys.stdin:
@@ -91,6 +94,11 @@ class Side:
 
 def arguments(module: str, kernel: Kernel) -> tuple[dict[str, np.ndarray], int]:
     """What a kernel reads and writes, and how many rows it has."""
+    if module == "samples.mlp_in_kernel":
+        return neural_cases.shading(HEIGHT, WIDTH), HEIGHT
+    if kernel in neural_cases.KERNELS:
+        given = neural_cases.arguments(kernel)
+        return given, neural_cases.rows_of(kernel, given)
     if module.startswith("denoise.") or kernel in (*denoise_cases.KERNELS, *denoise_cases.IN_ROWS_ALONE):
         case = denoise_cases.Case(HEIGHT, WIDTH, 2 * HEIGHT, 2 * WIDTH)
         given = denoise_cases.arguments(kernel, case)
@@ -108,10 +116,11 @@ def arguments(module: str, kernel: Kernel) -> tuple[dict[str, np.ndarray], int]:
 def compare(before: Path, kernel: str, level: str) -> str:
     """A line of a kernel at a level."""
     module, _, name = kernel.partition(":")
-    given, rows = arguments(module, getattr(import_module(f"postfx.kernels.{module}"), name))
+    place = module if module.startswith("samples.") else f"postfx.kernels.{module}"
+    given, rows = arguments(module, getattr(import_module(place), name))
     with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder) / "given.npz", *given.values(), [rows])
-        sides = [Side(tree, kernel, Path(folder), level) for tree in (before, ROOT)]
+        np.savez(Path(folder) / "given.npz", **given, **{"number of rows": rows})
+        sides = [Side(tree, f"{place}:{name}", Path(folder), level) for tree in (before, ROOT)]
         return f"{kernel} {level}: {in_turn(sides)}"
 
 
@@ -143,7 +152,8 @@ def unpack(commit: str, folder: Path) -> Path:
     """The sources of a commit, in a folder of their own."""
     tree = folder / "before"
     tree.mkdir()
-    packed = subprocess.run(["git", "archive", commit, "postfx"], cwd=ROOT, check=True, capture_output=True).stdout
+    packed = subprocess.run(["git", "archive", commit, "postfx", "samples"], cwd=ROOT, check=True,
+                            capture_output=True).stdout
     subprocess.run(["tar", "-x"], cwd=tree, input=packed, check=True)
     (tree / "models").symlink_to(ROOT / "models")
     return tree

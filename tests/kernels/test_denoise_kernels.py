@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.kernels import Kernel
+from postfx.kernels import Kernel, library
 from postfx.kernels.denoise import FINE, MIX
 from postfx.kernels.denoise.features import FEATURE, STORED_FEATURE
 from postfx.kernels.denoise.network_io import (
@@ -30,7 +30,7 @@ from postfx.kernels.denoise.upsample import (
     UPSAMPLE_UNSCALED,
 )
 from postfx.kernels.image import RESAMPLE, positions
-from postfx.kernels.library import has_byte_products
+from postfx.kernels.library import Rows, has_byte_products
 from postfx.passes.denoise.network import stored_channels
 from postfx.runtime import Device
 from tests.kernels.denoise_cases import CASES, KERNELS, ODD, Case, arguments, case_for, run, runs_of
@@ -173,11 +173,13 @@ def test_heads_of_codes_are_those_of_products(channels: int, compiled: Device) -
         fine = np.empty((1, FINE - first, products.shape[2], 2, wanted.shape[3]), np.float32)
         OPEN_FINE_CODES.rows(0, products.shape[2], *given.values(), fine)
         np.testing.assert_array_equal(fine.reshape(1, FINE - first, *wanted.shape[2:]), wanted[:, first:])
-    level = {"products": products[:, :LEVEL].copy(), "scaling": given["scaling"][:, :LEVEL].copy()}
-    heads = [np.empty(level["products"].shape, np.float32) for _ in range(2)]
-    OPEN_PRODUCTS.rows(0, heads[0].shape[2], *level.values(), heads[0])
-    OPEN_CODES.rows(0, heads[0].shape[2], given["codes"], given["factors"][:28].copy(), level["scaling"], heads[1])
-    np.testing.assert_array_equal(*heads)
+    sums, scaling = products[:, :LEVEL].copy(), given["scaling"][:, :LEVEL].copy()
+    coded = given["codes"], given["factors"][:28].copy(), scaling
+    for level in library.levels():  # each multiplies by instructions of its own
+        heads = [np.empty(sums.shape, np.float32) for _ in range(2)]
+        Rows(OPEN_PRODUCTS.rows.name, level=level)(0, sums.shape[2], sums, scaling, heads[0])
+        Rows(OPEN_CODES.rows.name, level=level)(0, sums.shape[2], *coded, heads[1])
+        np.testing.assert_array_equal(*heads)
 
 
 @coded

@@ -123,7 +123,7 @@ def forms(kernel: Kernel, inputs: dict[str, np.ndarray], case: denoise_cases.Cas
 def planes_of(kernel: Kernel, inputs: dict[str, np.ndarray]) -> list[str]:
     """Bindings that may hold NaN: those with a number for every pixel, but for what other kernels made finite."""
     return [name for name, array in inputs.items()
-            if array.dtype == np.float32 and array.size >= 1000 and name not in ("moved", "keep")]
+            if array.dtype in (np.float32, np.float16) and array.size >= 1000 and name not in ("moved", "keep")]
 
 
 @pytest.mark.parametrize("kernel", IN_CPP, ids=lambda kernel: kernel.name)

@@ -1,26 +1,55 @@
-"""A small network inside of a kernel of one's own gives what the network gives, on the CPU and by its CUDA source."""
+"""A network inside of a kernel gives what the network gives: in C++, by its CUDA source, in Python."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from postfx import Device
-from postfx.kernels import Kernel
+from postfx.kernels import Kernel, library
+from postfx.kernels.library import Rows
 from postfx.kernels.mlp import STRIP, mlp, mlp_features, mlp_space
-from postfx.kernels.numeric import compiled
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable
 from tests.kernels import host_cuda
 
 NETWORKS = (Network(3, (20, 7), 2, "gelu"), Network(5, (), 3), Network(2, (33,), 1, "sine"), Network(9, (64, 64), 3))
+POINTS = 77
+HEADER = """
+static void @NAME@_rows(Long first, Long last, View<const float, 1> parameters, View<const float, 2> points,
+                        View<float, 2> values) {
+    across(first, last, PIXELS(auto one, Long p) {
+        typedef decltype(one) F;
+        F features[@INPUTS@], found[@OUTPUTS@];
+        int places[Of<F>::COUNT];
+        for (int i = 0; i < Of<F>::COUNT; i++) places[i] = int(p) + i;
+        for (int k = 0; k < @INPUTS@; k++) {
+            const F value = gather<F, @INPUTS@>(points.at + k, places);
+            features[k] = value * value;
+        }
+        @CALL@
+        for (int j = 0; j < @OUTPUTS@; j++) spread<@OUTPUTS@, F>(values(p) + j, found[j] + 1.0f);
+    });
+}
+EXPORT(@NAME@, @NAME@_rows)
+"""
+CUDA = """
+extern "C" __global__ void @NAME@(View parameters, View points, View values) {
+    PIXEL(@OUTPUTS@, values.size[0]);
+    float features[@INPUTS@], found[@OUTPUTS@];
+    for (int k = 0; k < @INPUTS@; k++) {
+        const float value = points.at[size_t(y) * @INPUTS@ + k];
+        features[k] = value * value;
+    }
+    @CALL@
+    values.at[size_t(y) * @OUTPUTS@ + x] = found[x] + 1.0f;
+}
+"""
 
 
-@compiled
 def square_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray, points: np.ndarray,
                 values: np.ndarray) -> None:
     """The network of the points' squares, plus one: something before and something after it."""
@@ -28,54 +57,56 @@ def square_rows(y0: int, y1: int, network: np.ndarray, parameters: np.ndarray, p
     features = mlp_features(space)
     for first in range(y0, y1, STRIP):
         count = min(STRIP, y1 - first)
-        for p in range(count):
-            for k in range(points.shape[1]):
-                features[k, p] = points[first + p, k] * points[first + p, k]
-        found = mlp(network, parameters, space)
-        for p in range(count):
-            for j in range(values.shape[1]):
-                values[first + p, j] = found[j, p] + np.float32(1)
+        features[:, :count] = points[first:first + count].T ** 2
+        values[first:first + count] = mlp(network, parameters, space)[:, :count].T + 1
 
 
-def kernel_of(network: Network, folder: Path) -> Kernel:
-    """The kernel, and its CUDA source in a folder."""
-    sizes = ", ".join(map(str, network.sizes))
-    (folder / "squares.cu").write_text(f"""#include <postfx/mlp.cuh>
-extern "C" __global__ void squares(View network, View parameters, View points, View values) {{
-    PIXEL({network.outputs}, values.size[0]);
-    float features[{network.inputs}], found[{network.outputs}];
-    for (int k = 0; k < {network.inputs}; k++) {{
-        const float value = points.at[size_t(y) * {network.inputs} + k];
-        features[k] = value * value;
-    }}
-    mlp<{network.activation.upper()}, {sizes}>(parameters.at, features, found);
-    values.at[size_t(y) * {network.outputs} + x] = found[x] + 1.0f;
-}}
-""")
-    shapes: dict[str, tuple[Any, ...]] = {
-        "network": network.facts().shape, "parameters": (network.count,), "points": ("points", network.inputs),
-        "values": ("points", network.outputs)}
-    return Kernel("squares", ("network", "parameters", "points"), ("values",), square_rows, ("values", 0), shapes,
-                  folder=folder)
+class Case(NamedTuple):
+    """A kernel, the network in it, what it reads, and the values that are right."""
+
+    kernel: Kernel
+    network: Network
+    inputs: dict[str, np.ndarray]
+    wanted: np.ndarray
 
 
-@pytest.fixture(params=NETWORKS, ids=lambda network: "-".join(map(str, network.sizes)))
-def case(request: pytest.FixtureRequest, tmp_path: Path) -> SimpleNamespace:
-    network, random = request.param, np.random.default_rng(0)
-    points = random.normal(size=(77, network.inputs)).astype(np.float32)
+@pytest.fixture(scope="module")
+def plug_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The header of a plug-in with a kernel of every network, beside its CUDA source."""
+    folder = tmp_path_factory.mktemp("plug_in")
+    texts = {"squares.h": '#include "mlp.h"\n#include "rows.h"\n', "squares.cu": "#include <postfx/mlp.cuh>\n"}
+    for number, network in enumerate(NETWORKS):
+        kind, sizes = network.activation.upper(), ", ".join(map(str, network.sizes))
+        words = {"NAME": f"squares_{number}", "INPUTS": f"{network.inputs}", "OUTPUTS": f"{network.outputs}",
+                 "CALL": f"mlp<{kind}, {sizes}>(parameters.at, features, found);"}
+        for (name, text), form in zip(texts.items(), (HEADER, CUDA), strict=True):
+            for word, value in words.items():
+                form = form.replace(f"@{word}@", value)
+            texts[name] = text + form
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    return folder / "squares.h"
+
+
+@pytest.fixture(params=range(len(NETWORKS)), ids=["-".join(map(str, network.sizes)) for network in NETWORKS])
+def case(request: pytest.FixtureRequest, plug_in: Path) -> Case:
+    network, random, name = NETWORKS[request.param], np.random.default_rng(0), f"squares_{request.param}"
+    kernel = Kernel(name, ("parameters", "points"), ("values",), Rows(name, plug_in), ("values", 0), {
+        "parameters": (network.count,), "points": ("points", network.inputs), "values": ("points", network.outputs)})
+    points = random.normal(size=(POINTS, network.inputs)).astype(np.float32)
     device = Device("cpu", threads=2)
     learner = Learner(device, network)
-    given, made = device.wrap("squared", points * points), device.heap.tensor("values", (77, network.outputs))
+    given, made = device.wrap("squared", points * points), device.heap.tensor("values", (POINTS, network.outputs))
     commands = device.command_buffer("network")
     with commands.compute_encoder("network") as encoder:
         learner.run(encoder, given, made)
     commands.commit()
     commands.wait()
-    return SimpleNamespace(kernel=kernel_of(network, tmp_path), wanted=made.download() + 1, inputs={
-        "network": network.facts(), "parameters": learner.parameters.download(), "points": points})
+    inputs = {"parameters": learner.parameters.download(), "points": points}
+    return Case(kernel, network, inputs, made.download() + 1)
 
 
-def test_on_the_cpu(case: SimpleNamespace) -> None:
+def test_on_the_cpu(case: Case) -> None:
     device = Device("cpu", threads=2)
     state, values = device.compute_state(case.kernel), device.heap.tensor("values", case.wanted.shape)
     table = ArgumentTable(state, {name: device.wrap(name, array) for name, array in case.inputs.items()}
@@ -88,8 +119,37 @@ def test_on_the_cpu(case: SimpleNamespace) -> None:
     np.testing.assert_allclose(values.download(), case.wanted, atol=1e-5)
 
 
+def test_nan_stays_with_its_point(case: Case) -> None:
+    points, found = case.inputs["points"].copy(), np.zeros_like(case.wanted)
+    points[5, 0] = np.nan
+    case.kernel.rows(0, POINTS, case.inputs["parameters"], points, found)
+    assert np.isnan(found[5]).all() and np.isfinite(np.delete(found, 5, 0)).all()
+    if host_cuda.COMPILER:
+        on_gpu = np.zeros_like(found)
+        host_cuda.run(case.kernel, case.inputs | {"points": points, "values": on_gpu})
+        np.testing.assert_allclose(on_gpu, found, atol=1e-5)
+
+
 @pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
-def test_by_the_cuda_source(case: SimpleNamespace) -> None:
+def test_by_the_cuda_source(case: Case) -> None:
     found = np.zeros_like(case.wanted)
     host_cuda.run(case.kernel, case.inputs | {"values": found})
     np.testing.assert_allclose(found, case.wanted, atol=1e-5)
+
+
+def test_by_rows_in_python(case: Case) -> None:
+    found = np.zeros_like(case.wanted)
+    square_rows(0, POINTS, case.network.facts(), *case.inputs.values(), found)
+    np.testing.assert_allclose(found, case.wanted, atol=1e-6)
+
+
+@pytest.mark.soak
+def test_levels_give_the_same_bits(case: Case) -> None:
+    found = {}
+    for level in library.levels():
+        found[level] = np.zeros_like(case.wanted)
+        Rows(case.kernel.name, case.kernel.rows.header, level)(0, POINTS, *case.inputs.values(), found[level])
+    lowest = found.pop("baseline", case.wanted)
+    np.testing.assert_allclose(lowest, case.wanted, atol=1e-5)
+    for values in found.values():
+        np.testing.assert_array_equal(values, next(iter(found.values())))

@@ -91,24 +91,6 @@ def double(x):
 assert double(np.float32(3)) == 2  # it calls one that is not in the library, and is put into it
 """
 
-PRODUCTS = """
-import numpy as np
-
-from postfx.kernels import native
-
-native.FOLDER = native.FOLDER / "nowhere"
-from postfx.kernels.vectors import multiply_codes, turn_codes, wide_rows
-
-random = np.random.default_rng(2)
-codes = random.integers(0, 256, (50, 12)).astype(np.uint8)
-factors = random.integers(-64, 65, (8, 12)).astype(np.int8)
-codes[0], factors[4] = 255, 64
-turned, sums = np.zeros((3, wide_rows(50)), np.int32), np.zeros((4, wide_rows(50)), np.int32)
-turn_codes(codes, turned)
-multiply_codes(turned, factors, 4, sums)
-np.testing.assert_array_equal(sums[:, :50], factors[4:].astype(int) @ codes.T.astype(int))
-"""
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -135,14 +117,6 @@ def functions(folder, monkeypatch):
 
 def test_they_do_what_numba_does_without_it(folder):
     run(USE, str(folder))
-
-
-@pytest.mark.parametrize("level", native.LEVELS)
-def test_products_of_8_bits_are_exact_at_every_level(level):
-    levels = list(native.LEVELS)
-    if native.processor_level() not in levels[:levels.index(level) + 1]:
-        pytest.skip("a higher level than this processor's")
-    run(PRODUCTS, **native.target_of(level))
 
 
 def test_those_of_other_sources_are_not_used(folder, functions):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import re
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +12,14 @@ import pytest
 import torch
 
 from postfx.errors import BindingError, ModelError
+from postfx.kernels import library
 from postfx.kernels.neural import ADAM, FORWARD, GRADIENTS, GRID, GRID_PULL, GRID_STEP, UNITS
-from postfx.kernels.vectors import LANES, STRIP, combine, correlate, count_blocks, open_blocks
 from postfx.neural import DECAYS, EPSILON, Grid, Learner, Network
 from postfx.runtime import ArgumentTable, Device, Library
 from postfx.runtime.device import cuda_fault
-from tests.kernels import host_cuda
+from tests.kernels import host_cuda, neural_cases
+from tests.kernels.neural_cases import HYPER, NETWORKS
 
-NETWORKS = (Network(3, (4, 4), 3), Network(3, (16, 16), 3, "gelu"), Network(9, (64, 64, 64), 3, bands=4, encoded=3),
-            Network(2, (128, 127, 5, 33), 7, "sine", bands=3), Network(5, (), 2))
 IDS = ["-".join(map(str, network.sizes)) for network in NETWORKS]
 every_network = pytest.mark.parametrize("network", NETWORKS, ids=IDS)
 
@@ -113,8 +111,8 @@ def test_steps_are_those_of_adam_in_torch():
         scaled = partials * np.append(np.full(51, 1 + step), 1).astype(np.float32)
         parameters.grad = torch.from_numpy(2 * scaled[:, :-2].sum(0))
         adam.step()
-        ADAM.rows(0, 20, scaled, np.float32([0.01, *DECAYS, EPSILON]), found, moments)
-        ADAM.rows(20, 50, scaled, np.float32([0.01, *DECAYS, EPSILON]), found, moments)
+        ADAM.rows(0, 20, scaled, HYPER, found, moments)
+        ADAM.rows(20, 50, scaled, HYPER, found, moments)
         np.testing.assert_allclose(found, parameters.detach(), atol=1e-6)
     assert (moments[:, 2] == 5).all()
 
@@ -229,12 +227,57 @@ def test_cuda_kernels_compute_what_the_compiled_rows_do(network, shared):
         for name, array in wanted.items():
             np.testing.assert_allclose(found[name], array, atol=1e-5, rtol=1e-5)
     wanted = wanted["partials"]
-    hyper = np.float32([0.01, *DECAYS, EPSILON])
-    states = [(twin.start.copy(), np.full((network.count, 3), 0.5, np.float32)) for _ in range(2)]
-    ADAM.rows(0, network.count, wanted, hyper, *states[0])
-    host_cuda.run(ADAM, {"partials": wanted, "hyper": hyper, "parameters": states[1][0], "moments": states[1][1]})
+    states = [(twin.start.copy(), np.full((network.count, 3), [0.5, 0.5, 3], np.float32)) for _ in range(2)]
+    ADAM.rows(0, network.count, wanted, HYPER, *states[0])
+    host_cuda.run(ADAM, {"partials": wanted, "hyper": HYPER, "parameters": states[1][0], "moments": states[1][1]})
     for one, other in zip(*states, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+@every_network
+@pytest.mark.parametrize("kernel", neural_cases.KERNELS, ids=lambda kernel: kernel.name)
+def test_every_level_gives_the_same_bits(kernel, network):
+    """Without fused products, nearly the same."""
+    given = neural_cases.arguments(kernel, network, 300, dims=2 + network.outputs % 2)
+    found = {level: neural_cases.run(kernel, given, level) for level in library.levels()}
+    lowest, wanted = found.pop("baseline"), next(iter(found.values()))
+    for name, array in wanted.items():
+        for level, arrays in found.items():
+            np.testing.assert_array_equal(arrays[name], array, f"{name} {level}")
+        unit = UNITS if array.dtype == np.int64 else 1
+        np.testing.assert_allclose(lowest[name] / unit, array / unit, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize(("kernel", "binding", "most"), [
+    (FORWARD, "points", 3), (GRADIENTS, "points", 392), (GRADIENTS, "targets", 392), (ADAM, "partials", 3),
+    (ADAM, "parameters", 1), (GRID, "points", 3), (GRID, "table", 300), (GRID_PULL, "pulls", 8),
+    (GRID_STEP, "table", 1), (GRID_STEP, "moments", 3)],
+    ids=lambda value: getattr(value, "name", value))
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(kernel, binding, most, value):
+    """In every form: a group's gradients, a point's values, a parameter's step; sums of whole numbers leave NaN out."""
+    given = neural_cases.arguments(kernel, NETWORKS[1], 300)
+    broken = {name: array.copy() for name, array in given.items()}
+    broken[binding].reshape(-1)[20] = value
+    clean, found = {}, {}
+    for made, arrays in ((clean, given), (found, broken)):
+        for level in library.levels():
+            made[level] = neural_cases.run(kernel, arrays, level)
+        if host_cuda.COMPILER:
+            arrays = {name: array.copy() for name, array in arrays.items()}
+            host_cuda.run(kernel, arrays)
+            made["cuda"] = {name: arrays[name] for name in kernel.writes}
+    levels = [level for level in library.levels() if level != "baseline"] or ["baseline"]
+    wanted, before = found[levels[0]], clean[levels[0]]
+    changed = {name: wanted[name] != before[name] for name in kernel.writes}
+    assert sum(int(one.sum()) for one in changed.values()) <= most
+    for form, arrays in found.items():
+        for name, array in arrays.items():
+            finite = np.isfinite(wanted[name])
+            np.testing.assert_array_equal(np.isfinite(array), finite, f"{name} {form}")
+            unit = UNITS if array.dtype == np.int64 else 1
+            bits = 0 if form in levels else 1e-5
+            np.testing.assert_allclose(array[finite] / unit, wanted[name][finite] / unit, bits, bits, err_msg=form)
 
 
 @every_network
@@ -352,10 +395,10 @@ def test_the_cuda_kernels_of_a_grid_compute_what_the_compiled_rows_do(dims):
         kernel.rows(0, len(made), *given.values(), made)
         host_cuda.run(kernel, given | {name: found})
         np.testing.assert_allclose(found / UNITS, made / UNITS, atol=1e-6)
-    hyper, partials = np.float32([0.01, *DECAYS, EPSILON]), np.full((2, 7), 0.25, np.float32)
-    states = [(table.copy(), np.full((5, 512, 3), 0.5, np.float32)) for _ in range(2)]
-    GRID_STEP.rows(0, 5, made, partials, hyper, *states[0])
-    host_cuda.run(GRID_STEP, {"sums": made, "partials": partials, "hyper": hyper, "table": states[1][0],
+    partials = np.full((2, 7), 0.25, np.float32)
+    states = [(table.copy(), np.full((5, 512, 3), [0.5, 0.5, 3], np.float32)) for _ in range(2)]
+    GRID_STEP.rows(0, 5, made, partials, HYPER, *states[0])
+    host_cuda.run(GRID_STEP, {"sums": made, "partials": partials, "hyper": HYPER, "table": states[1][0],
                               "moments": states[1][1]})
     for one, other in zip(*states, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
@@ -372,21 +415,6 @@ def test_a_picture_is_learnt_by_a_grid():
         in_frame(learner.device, learner, places, wanted, 60)
         errors.append(learner.error())
     assert errors[0] < 0.2 * errors[1]
-
-
-def test_products_of_odd_sizes():
-    random = np.random.default_rng(0)
-    for rows, count in pairwise((1, 3, 4, 8, 17, 33)):
-        weights = random.normal(size=(rows, count)).astype(np.float32)
-        left, right = (random.normal(size=(2, size, STRIP)).astype(np.float32) for size in (rows, count))
-        made = np.zeros((rows, STRIP), np.float32)
-        combine(weights.ravel(), 0, count, 1, right.ravel(), count * STRIP, count, made.ravel(), 0, rows)
-        np.testing.assert_allclose(made, weights @ right[1], atol=1e-5)
-        blocks = np.ones((3 + count_blocks(rows, count)) * LANES, np.float32)
-        asked = np.empty((rows, count), np.float32)
-        correlate(left.ravel(), rows, right.ravel(), count, 2, blocks, 3)
-        open_blocks(blocks, 3, rows, count, asked.ravel())
-        np.testing.assert_allclose(asked, 1 + np.einsum("sjp,sip->ji", left, right), atol=1e-4)
 
 
 def test_fitting_learns_and_is_repeatable():

@@ -131,9 +131,17 @@ IN_HALF: dict[Kernel, Kernel] = {}
 def in_half(kernel: Kernel, *names: str) -> None:
     """Add the kernel to `IN_HALF` with these bindings in half precision, too: they are most of what it reads or writes.
     The rows say what it computes; no device runs them."""
+    bindings = tuple(dict.fromkeys(kernel.reads + kernel.writes))
+    axis = kernel.row_axis[1]
+
     def rows(y0: int, y1: int, *tensors: np.ndarray) -> None:
-        count = len(kernel.reads)
-        kernel.rows(y0, y1, *(tensor.astype(np.float32) for tensor in tensors[:count]), *tensors[count:])
+        own = [tensor.astype(kernel.types.get(name, "float32")) if name in names else tensor
+               for name, tensor in zip(bindings, tensors, strict=True)]
+        kernel.rows(y0, y1, *own)
+        for name, tensor, made in zip(bindings, tensors, own, strict=True):
+            if name in kernel.writes and made is not tensor:
+                band = (slice(None),) * axis + (slice(y0, y1),)
+                tensor[band] = made[band]
 
     types = dict(kernel.types) | dict.fromkeys(names, "float16")
     IN_HALF[kernel] = replace(kernel, name=f"{kernel.name}_half", rows=rows, types=types)

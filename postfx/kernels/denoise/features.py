@@ -18,7 +18,7 @@ from postfx.kernels.denoise import (
     REFLECTANCE,
     kernel,
 )
-from postfx.kernels.denoise.network_io import pack_rows, width
+from postfx.kernels.denoise.network_io import PACK, width
 from postfx.kernels.library import Rows
 
 LOOKS = ("colour", *REFLECTANCE, "normal", "roughness", "depth", "moved", "state", "last_depth", "warped",
@@ -31,7 +31,7 @@ def packed_feature_rows(y0: int, y1: int, *tensors: np.ndarray) -> None:
     *reads, past, packed = tensors
     features = np.empty((1, FEATURES, *packed.shape[1:3]), np.float32)
     FEATURE.rows(y0, y1, *reads, past, features)
-    pack_rows(y0, y1, features, packed)
+    PACK.rows(y0, y1, features, packed)
 
 
 IN_HALF[FEATURE] = Kernel(

@@ -1,8 +1,98 @@
 // Heads of the network in the layout of the other kernels: of floats, of integer sums, of codes.
 #include "fine_codes.h"
+#include "../half.h"
+#include "store.h"
 
 typedef View<const int, 4> Products;
+typedef View<const half, 4> Halves;
 typedef View<float, 4> Heads;
+
+// In half precision, with all channels of a pixel together: two of them are one word.
+constexpr int HALVES = 2;
+
+// Planes, and zeros for further channels.
+static Status pack_rows(Long first, Long last, View<const float, 4> planes, View<half, 4> packed) {
+    const Long w = packed.size[2], channels = planes.size[1], words = packed.size[3] / HALVES;
+    const Room<int> turned(words * w);
+    if (!turned) return NO_MEMORY;
+    for (Long y = first; y < last; y++) {
+        for (Long k = 0; k < words; k++) {
+            const Long low = HALVES * k, high = low + 1;
+            int* to = turned.at + k * w;
+            across(0, w, PIXELS(auto one, Long x) {
+                typedef decltype(one) F;
+                typename Of<F>::Int word = {};
+                if (low < channels) word = to_half<F>(load<F>(planes(0, low, y) + x));
+                if (high < channels) word |= to_half<F>(load<F>(planes(0, high, y) + x)) << 16;
+                store_int<F>(to + x, word);
+            });
+        }
+        turn_words<0>(turned.at, words, w, (int*)packed(0, y));
+    }
+    return DONE;
+}
+EXPORT(denoise_pack, pack_rows)
+
+// Words of pixels, which lie a step apart, as rows of words.
+FN void turn_pixels(const half* pixels, Long step, Long words, Long count, int* turned) {
+    for (Long x = 0; x < count; x++) {
+        for (Long k = 0; k < words; k++) {
+            __builtin_memcpy(turned + k * count + x, pixels + x * step + HALVES * k, sizeof(int));
+        }
+    }
+}
+template <class F> FN F channel_of(const int* turned, Long channel, Long count, Long x) {
+    const typename Of<F>::Int word = load_int<F>(turned + channel / HALVES * count + x);
+    return from_half<F>(channel % HALVES ? (word >> 16) & 0xFFFF : word & 0xFFFF);
+}
+
+// Of a level: weights of its filters and its mix, which means nothing at the coarsest level.
+static Status open_rows(Long first, Long last, Halves raw, Heads heads) {
+    const Long w = heads.size[3], channels = heads.size[1], step = raw.size[3];
+    const Room<int> turned(step / HALVES * w);
+    if (!turned) return NO_MEMORY;
+    for (Long y = first; y < last; y++) {
+        turn_pixels(raw(0, y), step, step / HALVES, w, turned.at);
+        for (Long channel = 0; channel < channels; channel++) {
+            float* out = heads(0, channel, y);
+            with_meaning(level_meaning(channel), PIXELS(auto meaning) {
+                across(0, w, PIXELS(auto one, Long x) {
+                    typedef decltype(one) F;
+                    store<F>(out + x, opened<F, meaning.is>(channel_of<F>(turned.at, channel, w, x)));
+                });
+            });
+        }
+    }
+    return DONE;
+}
+EXPORT(denoise_open, open_rows)
+
+// Of the fine head, whose four phases of 2x2 pixels lie one after the other.
+static Status open_fine_rows(Long first, Long last, Halves raw, Heads fine) {
+    const Long w = raw.size[2], step = raw.size[3], words = FINE / HALVES;
+    const Room<int> turned(2 * words * w);
+    if (!turned) return NO_MEMORY;
+    int *const left = turned.at, *const right = left + words * w;
+    for (Long y = first; y < last; y++) {
+        const half* from = raw(0, y / 2) + 2 * (y % 2) * FINE;
+        turn_pixels(from, step, words, w, left);
+        turn_pixels(from + FINE, step, words, w, right);
+        for (Long channel = 0; channel < FINE; channel++) {
+            float* out = fine(0, channel, y);
+            with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
+                across(0, w, PIXELS(auto one, Long x) {
+                    typedef decltype(one) F;
+                    store_pairs<F>(out + 2 * x, opened<F, meaning.is>(channel_of<F>(left, channel, w, x)),
+                                   opened<F, meaning.is>(channel_of<F>(right, channel, w, x)));
+                });
+            });
+        }
+    }
+    return DONE;
+}
+EXPORT(denoise_open_fine, open_fine_rows)
+
+// In float32.
 
 // Of the fine head, each channel has its four phases of 2x2 pixels one after the other.
 

@@ -3,8 +3,7 @@
 Half precision: the network reads and writes all channels of a pixel together (NHWC). ``packed`` holds the planes of
 ``features`` or ``guides``, padded with zeros to a multiple of 8 channels for tensor cores. ``raw`` is the output of the
 network's last convolutions; the copy to the layout of the other kernels applies their activations. A raw fine head has
-the four phases of 2x2 pixels one after the other, top left first. The rows are NumPy: GPUs have their own sources, and
-a CPU gains nothing from half precision.
+the four phases of 2x2 pixels one after the other, top left first. A CPU gains nothing from half precision.
 
 Float32: activations of the fine head, and its four phases moved to their places. ``phased_fine`` (1, 4 * 80, hp / 2,
 wp / 2) is the output of the last convolution: for each channel the four phases of 2x2 pixels, top left first. One pass
@@ -28,10 +27,8 @@ meaning. With a ring, it has one more row and column on every side, where all ch
 
 from __future__ import annotations
 
-import numpy as np
-
 from postfx.kernels import Kernel
-from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY, STEEPEST, in_half, kernel
+from postfx.kernels.denoise import FINE, KERNEL, in_half, kernel
 from postfx.kernels.library import Rows
 
 LANES = 8
@@ -49,49 +46,13 @@ def opened_shape(name: str, rows: int, columns: int) -> tuple[int, ...]:
     return (1, FINE, 2 * rows, 2 * columns) if name == "fine" else (1, LEVEL, rows, columns)
 
 
-def pack_rows(y0: int, y1: int, planes: np.ndarray, packed: np.ndarray) -> None:
-    """Channels last, in half precision."""
-    channels = planes.shape[1]
-    packed[0, y0:y1, :, :channels] = planes[0, :, y0:y1].transpose(1, 2, 0)
-    packed[0, y0:y1, :, channels:] = 0
-
-
-def open_rows(y0: int, y1: int, raw: np.ndarray, heads: np.ndarray) -> None:
-    """Weights of a level's filters and its mix, which means nothing at the coarsest level."""
-    logits = raw[0, y0:y1, :, :LEVEL].astype(np.float32).transpose(2, 0, 1)
-    heads[0, :KERNEL, y0:y1] = _weights(logits[:KERNEL])
-    heads[0, KERNEL:, y0:y1] = _gates(logits[KERNEL:])
-
-
-def open_fine_rows(y0: int, y1: int, raw_fine: np.ndarray, fine: np.ndarray) -> None:
-    """The fine head: weights, gates and the hidden state."""
-    for y in range(y0, y1):
-        for side in range(2):
-            first = FINE * (2 * (y % 2) + side)
-            logits = raw_fine[0, y // 2, :, first:first + FINE].astype(np.float32).T
-            row = fine[0, :, y, side::2]
-            row[:BLEND] = _weights(logits[:BLEND])
-            row[BLEND:MEMORY] = _gates(logits[BLEND:MEMORY])
-            row[MEMORY:] = np.tanh(logits[MEMORY:])
-
-
-def _weights(logits: np.ndarray) -> np.ndarray:
-    weights: np.ndarray = np.exp(np.clip(logits, -STEEPEST, STEEPEST))
-    return weights
-
-
-def _gates(logits: np.ndarray) -> np.ndarray:
-    gates: np.ndarray = 1 / (1 + np.exp(-np.clip(logits, -80, 80)))
-    return gates
-
-
 HALF = "float16"
 LEVEL_WIDTH = width(LEVEL)
-PACK = Kernel("denoise_pack", ("planes",), ("packed",), pack_rows, ("packed", 1),
+PACK = Kernel("denoise_pack", ("planes",), ("packed",), Rows("denoise_pack"), ("packed", 1),
               {"planes": (1, "channels", "hp", "wp"), "packed": (1, "hp", "wp", "wide")}, {"packed": HALF})
-OPEN = Kernel("denoise_open", ("raw",), ("heads",), open_rows, ("heads", 2),
+OPEN = Kernel("denoise_open", ("raw",), ("heads",), Rows("denoise_open"), ("heads", 2),
               {"raw": (1, "hp", "wp", LEVEL_WIDTH), "heads": (1, LEVEL, "hp", "wp")}, {"raw": HALF})
-OPEN_FINE = Kernel("denoise_open_fine", ("raw_fine",), ("fine",), open_fine_rows, ("fine", 2),
+OPEN_FINE = Kernel("denoise_open_fine", ("raw_fine",), ("fine",), Rows("denoise_open_fine"), ("fine", 2),
                    {"raw_fine": (1, "half_hp", "half_wp", FINE_PHASES * FINE),
                     "fine": (1, FINE, "2*half_hp", "2*half_wp")},
                    {"raw_fine": HALF})
@@ -137,6 +98,8 @@ OPEN_SOME_PRODUCTS = Kernel(
     {"products": "int32"})
 
 
+FOURS = 4
+"""Rows of factors that are multiplied at once."""
 OPEN_CODES = kernel("open_codes", ("codes", "factors", "scaling"), ("heads",), None, ("heads", 2),
                     codes=(1, "hp", "wp", "codes"), heads=(1, "outputs", "hp", "wp"))
 OPEN_FINE_CODES = kernel("open_fine_codes", ("codes", "factors", "scaling"), ("fine",), None,

@@ -13,6 +13,7 @@ from postfx.kernels import Kernel
 from postfx.kernels.denoise import FEATURES, FINE, GUIDES, IN_HALF, MIRRORED
 from postfx.kernels.denoise.features import STORED_FEATURE
 from postfx.kernels.denoise.network_io import (
+    FOURS,
     OPEN,
     OPEN_CODES,
     OPEN_FINE,
@@ -28,7 +29,6 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
     opened_shape,
 )
-from postfx.kernels.vectors import FOURS
 from postfx.runtime import ArgumentTable, CommandBuffer, ModelError, PipelineState, Tensor
 from postfx.runtime.tensor import TensorHeap
 
