@@ -35,9 +35,14 @@ class Rows:
 
     def __init__(self, name: str, header: Path | None = None, level: str | None = None) -> None:
         self.name, self.header, self.level = name, header, level
+        self._forms: dict[Kinds, Form] = {}
 
     def __call__(self, first: int, last: int, *arrays: np.ndarray) -> None:
-        self.form(kinds_of(arrays))(first, last, *arrays)
+        kinds = kinds_of(arrays)
+        form = self._forms.get(kinds)
+        if form is None:
+            form = self._forms[kinds] = self.form(kinds)
+        form(first, last, *arrays)
 
     def bind(self, arrays: Sequence[np.ndarray]) -> BoundRows:
         """The same with all arrays given, for threads."""

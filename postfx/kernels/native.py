@@ -37,6 +37,7 @@ FEATURES = "-prefer-256-bit"
 """Vectors as wide as the level has them: what processors that Numba knows by name get, so pixels are the same bits."""
 SCALARS = {bool: "?", np.bool_: "?", int: "q", np.int64: "q", float: "d", np.float64: "d", np.float32: "f"}
 """Types of numbers that a function may be called with, as `struct` names them."""
+_WITHOUT_GAPS, _ALIGNED, _WRITEABLE = 0x1, 0x100, 0x400  # NumPy's flags of arrays
 WORDS = {"?": "q", "q": "q", "d": "d", "f": "f4x"}
 """How they are put into words of 8 bytes."""
 
@@ -277,15 +278,15 @@ def _address_of(rows: Any, kinds: Kinds) -> int | None:
 
 def kinds_of(arguments: Iterable[Any]) -> Kinds:
     """Kinds of arguments."""
-    return tuple([_array_kind(value) if isinstance(value, np.ndarray) else SCALARS.get(type(value))
-                  for value in arguments])
+    return tuple([_array_kind(value.dtype, value.ndim, value.flags.num) if isinstance(value, np.ndarray)
+                  else SCALARS.get(type(value)) for value in arguments])
 
 
-def _array_kind(array: np.ndarray) -> str | None:
-    flags = array.flags
-    if not (flags.c_contiguous and flags.aligned):
+@cache  # looking at a type and at flags by name takes longer than many a kernel
+def _array_kind(dtype: np.dtype, axes: int, flags: int) -> str | None:
+    if ~flags & (_WITHOUT_GAPS | _ALIGNED):
         return None
-    return f"{array.dtype.str}:{array.ndim}{'' if flags.writeable else 'r'}"
+    return f"{dtype.str}:{axes}{'' if flags & _WRITEABLE else 'r'}"
 
 
 def axes_of(kind: str) -> int:
@@ -307,7 +308,11 @@ def words_of(arguments: Iterable[Any]) -> list[Any]:
     words: list[Any] = []
     for value in arguments:
         if isinstance(value, np.ndarray):
-            words += value.__array_interface__["data"][0], *value.shape
+            try:
+                words.append(ctypes.addressof(ctypes.c_char.from_buffer(value)))  # in a quarter of the time
+            except (TypeError, ValueError):  # only to be read, or empty
+                words.append(value.__array_interface__["data"][0])
+            words += value.shape
         else:
             words.append(value)
     return words

@@ -90,6 +90,7 @@ template <> constexpr const char* type_name<int>() { return "i4"; }
 template <> constexpr const char* type_name<byte>() { return "u1"; }
 template <> constexpr const char* type_name<sbyte>() { return "i1"; }
 template <> constexpr const char* type_name<bool>() { return "b1"; }
+template <> constexpr const char* type_name<unsigned short>() { return "u2"; }
 template <> constexpr const char* type_name<unsigned>() { return "u4"; }
 template <> constexpr const char* type_name<Long>() { return "i8"; }
 template <> constexpr const char* type_name<double>() { return "f8"; }
