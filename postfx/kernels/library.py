@@ -10,8 +10,9 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Iterable, Sequence
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,29 @@ class Rows:
     def prepare(self, kinds: Kinds) -> None:
         """Have the kernel ready before the first frame."""
         self.form(kinds)
+
+
+class Function:
+    """A function of ours in C++ of whole numbers and addresses: `function(*numbers)`. It runs without the
+    interpreter's lock, and returns a whole number.
+
+    Args:
+        name: that it is exported by.
+        count: of its arguments.
+    """
+
+    def __init__(self, name: str, count: int) -> None:
+        self._name, self._count = name, count
+
+    @cached_property
+    def _entry(self) -> Any:
+        entry = getattr(open_library(), self._name)
+        entry.argtypes, entry.restype = (ctypes.c_int64,) * self._count, ctypes.c_int64
+        return entry
+
+    def __call__(self, *numbers: int) -> int:
+        found: int = self._entry(*numbers)
+        return found
 
 
 @cache
