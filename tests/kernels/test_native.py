@@ -12,15 +12,7 @@ from postfx.kernels import native
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 WANTED = {
-    "postfx.kernels.pixel_formats.predict_bytes": [["|u1:1", "|u1:1"], ["|u1:1r", "|u1:1"]],
-    "postfx.kernels.pixel_formats.dither_rows": [["<f4:2", "f", "<f4:2", "|u1:2"]],
     "postfx.interpolate.timing.count_marks": [["<u4:1", "q"], ["<i8:1", "q"], ["<f8:1", "q"]],
-    "postfx.kernels.partner.enlarge_motion_rows": [["q", "q", "<f4:3", "<f4:1", "<f4:1", "<f4:1", "<f4:3"]],
-    "postfx.runtime.threads.is_called": [["<i8:2", "q", "q", "q"]],
-    "postfx.runtime.threads.hand_out": [["<i8:2", "q", "q", "q", "q"]],
-    "postfx.runtime.threads.run_entry": [["q", "q"]],
-    "postfx.runtime.threads.are_done": [["<i8:2", "q", "q"]],
-    "postfx.runtime.threads.pauses": [["q"]],
 }
 BUILD = """
 import json, sys
@@ -40,51 +32,21 @@ from postfx.kernels import native
 native.FOLDER = Path(sys.argv[1])
 from postfx.interpolate.timing import count_marks
 from postfx.kernels.numeric import clamp, compiled
-from postfx.kernels.partner import ENLARGE_MOTION, enlarge_motion_rows
-from postfx.kernels.pixel_formats import dither_rows, predict_bytes
-from postfx.runtime import ArgumentTable, Device
-from postfx.runtime.threads import are_done
 
 random = np.random.default_rng(1)
-light = random.random((40, 48, 3), np.float32)
-motion, ratio = random.random((40, 48, 2), np.float32), np.float32([2, 3])
-places = np.arange(17.0, dtype="f"), np.arange(31.0, dtype="f")
 values = random.integers(0, 256, 1002, np.uint8)
-fixed = values.copy()
-fixed.flags.writeable = False
 
 
 def results(call):
-    bytes_of, codes = np.zeros(1002, np.uint8), np.zeros((40, 144), np.uint8)
-    small = np.zeros((17, 31, 2), np.float32)
-    flat, grey = light.reshape(40, 144), np.full((64, 64), 0.5, np.float32)
-    found = [call(predict_bytes, values, bytes_of), bytes_of.copy(), call(predict_bytes, fixed, bytes_of), bytes_of,
-             call(dither_rows, flat, np.float32(255), grey, codes), codes,
-             *(call(count_marks, values.astype(kind), 100) for kind in (np.uint32, np.int64, np.float64)),
-             call(are_done, np.zeros((2, 8), np.int64), 1, 10),
-             call(enlarge_motion_rows, 0, 17, motion, *places, ratio, small), small]
-    return found
+    return [call(count_marks, values.astype(kind), 100) for kind in (np.uint32, np.int64, np.float64)]
 
 
 native_results = results(lambda function, *arguments: function(*arguments))
-device = Device("cpu", threads=2)
-tensors = {name: device.wrap(name, array) for name, array in zip(ENLARGE_MOTION.reads, (motion, *places, ratio),
-                                                                 strict=True)}
-tensors["enlarged"] = device.heap.tensor("enlarged", (17, 31, 2))
-state = device.compute_state(ENLARGE_MOTION)
-commands = device.command_buffer("any")
-with commands.compute_encoder("any") as encoder:
-    encoder.dispatch(state, ArgumentTable(state, tensors))
-commands.commit()
-commands.wait(timeout=60)
-by_device = tensors["enlarged"].array.copy()
 assert "numba" not in sys.modules and "llvmlite" not in sys.modules
 for one, other in zip(native_results, results(lambda function, *arguments: function.dispatcher(*arguments)),
                       strict=True):
     assert type(one) is type(other), (one, other)
-    np.testing.assert_array_equal(one, other)
-assert np.ptp(by_device) > 0
-np.testing.assert_array_equal(by_device, native_results[-1])
+    assert one == other > 0
 
 known = len(count_marks.dispatcher.overloads)
 assert count_marks(np.arange(7, dtype=np.uint32)[::2], 4) == 2  # with gaps: Numba's
@@ -174,7 +136,7 @@ def test_without_a_library_or_on_another_processor_there_are_none(functions, mon
 
 
 def test_a_function_that_fails_is_an_error(functions):
-    (form,) = functions()["postfx.runtime.threads.pauses"].values()
+    form = next(iter(functions()["postfx.interpolate.timing.count_marks"].values()))
     form._check(0)
-    with pytest.raises(RuntimeError, match="kernel postfx.runtime.threads.pauses failed"):
+    with pytest.raises(RuntimeError, match="kernel postfx.interpolate.timing.count_marks failed"):
         form._check(1)

@@ -211,19 +211,19 @@ static Status unscaled_rows(Long first, Long last, Upsample given, const Picture
 static Status plain(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, LAST) {
     return plain_rows(first, last, GIVEN, Heads(fine));
 }
-EXPORT(denoise_upsample, plain)
+EXPORT_ALONE(denoise_upsample, plain)
 
 static Status guided(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, Picture diffuse,
                      Picture specular, Picture trust, LAST) {
     return guided_rows(first, last, GIVEN, {diffuse, specular, trust}, Heads(fine));
 }
-EXPORT(denoise_upsample_guided, guided)
+EXPORT_ALONE(denoise_upsample_guided, guided)
 
 static Status unscaled(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, Picture factor,
                        LAST) {
     return unscaled_rows(first, last, GIVEN, factor, Heads(fine));
 }
-EXPORT(denoise_upsample_unscaled, unscaled)
+EXPORT_ALONE(denoise_upsample_unscaled, unscaled)
 
 // A picture that the network gives itself: its pixels are log-encoded, and the first control is the
 // share of each beside the history.
@@ -260,23 +260,23 @@ static Status picture(Long first, Long last, View<const float, 4> picture, FineH
     }
     return DONE;
 }
-EXPORT(denoise_blend_picture, picture)
+EXPORT_ALONE(denoise_blend_picture, picture)
 
 static Status plain_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
                           Scaling scaling, BETWEEN, LAST) {
     return plain_rows(first, last, GIVEN, Heads(codes, factors, scaling));
 }
-EXPORT(denoise_upsample_codes, plain_codes)
+EXPORT_ALONE(denoise_upsample_codes, plain_codes)
 
 static Status guided_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
                            Scaling scaling, BETWEEN, Picture diffuse, Picture specular, Picture trust,
                            LAST) {
     return guided_rows(first, last, GIVEN, {diffuse, specular, trust}, Heads(codes, factors, scaling));
 }
-EXPORT(denoise_upsample_guided_codes, guided_codes)
+EXPORT_ALONE(denoise_upsample_guided_codes, guided_codes)
 
 static Status unscaled_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
                              Scaling scaling, BETWEEN, Picture factor, LAST) {
     return unscaled_rows(first, last, GIVEN, factor, Heads(codes, factors, scaling));
 }
-EXPORT(denoise_upsample_unscaled_codes, unscaled_codes)
+EXPORT_ALONE(denoise_upsample_unscaled_codes, unscaled_codes)
