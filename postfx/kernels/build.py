@@ -193,14 +193,16 @@ def build_all(target: str, folder: Path) -> list[Path]:
 
 def find_compiler() -> list[str]:
     """The command that compiles C++. Raises CannotBuild without one."""
-    if importlib.util.find_spec("ziglang") is None:
+    package = importlib.util.find_spec("ziglang")
+    if package is None or package.origin is None:
         raise CannotBuild(f"the kernels are not compiled, and there is no compiler: pip install ziglang=={ZIG}")
     from importlib.metadata import version
 
     found = version("ziglang")
     if found != ZIG:
         raise CannotBuild(f"ziglang {found} would compile other kernels: pip install ziglang=={ZIG}")
-    return [sys.executable, "-m", "ziglang", "c++"]
+    # itself: `python -m ziglang` would start a Python for each file
+    return [str(Path(package.origin).with_name("zig.exe" if sys.platform == "win32" else "zig")), "c++"]
 
 
 class _Compiler:

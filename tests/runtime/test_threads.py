@@ -14,7 +14,6 @@ from postfx.kernels.native import BoundRows, bind_rows
 from postfx.runtime import threads
 from postfx.runtime.threads import LOOK, NANOSECONDS, Band, Helpers
 
-
 HEADER = """
 #include "rows.h"
 
