@@ -102,9 +102,33 @@ def sources_of(unit: Path) -> list[Path]:
     return found
 
 
-def digest_of(units: Sequence[Path], target: str) -> str:
+class Part(NamedTuple):
+    """A part of our library: kernels of a file that a checkout compiles together, or one of them alone."""
+
+    unit: Path
+    alone: str = ""
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """What tells the compiler."""
+        chosen = ("-DALONE", f"-DALONE_{self.alone}=~,EXPORT_ONE") if self.alone else ("-DTOGETHER",)
+        return *chosen, "-Wno-unused-function", "-Wno-unneeded-internal-declaration"
+
+
+def our_parts() -> dict[str, Part]:
+    """Parts by the names that they export."""
+    found: dict[str, Part] = {}
+    for unit in our_units():
+        text = unit.read_text("utf-8")
+        found |= {name: Part(unit, name) for name in re.findall(r"^EXPORT_ALONE\((\w+),", text, re.M)}
+        together = re.findall(r"^(?:EXPORT\(|EXPORTED Word )(\w+)[,(]", text, re.M)
+        found |= dict.fromkeys(together, Part(unit))
+    return found
+
+
+def digest_of(units: Sequence[Path], target: str, flags: Sequence[str] = ()) -> str:
     """Of all that a library is made of: these files, their headers, and how they are compiled."""
-    found = hashlib.sha256(repr((ZIG, FLAGS, LINKED, TARGETS[target])).encode())
+    found = hashlib.sha256(repr((ZIG, FLAGS, LINKED, TARGETS[target], *flags)).encode())
     for path in dict.fromkeys(path for unit in units for path in sources_of(unit)):
         found.update(f"\0{path.name}\0".encode() + path.read_bytes())
     return found.hexdigest()[:24]
@@ -126,17 +150,18 @@ def _read_index(folder: Path, digest: str) -> dict[str, tuple[str, str]]:
         return {}
 
 
-def build(units: Sequence[Path], target: str, folder: Path, levels: Iterable[str] = ()) -> dict[str, Path]:
+def build(units: Sequence[Path], target: str, folder: Path, levels: Iterable[str] = (),
+          flags: Sequence[str] = ()) -> dict[str, Path]:
     """Libraries by level, those given or all, which are compiled unless another process has done so meanwhile."""
     folder.mkdir(parents=True, exist_ok=True)
-    digest, kind = digest_of(units, target), TARGETS[target]
-    with _locked(folder / "lock"):
+    digest, kind = digest_of(units, target, flags), TARGETS[target]
+    with _locked(folder / f"{digest}.lock"):  # of these sources: others are compiled at the same time
         index = _read_index(folder, digest)
         missing = [level for level in tuple(levels) or kind.levels if level not in index]
         if missing:
             _remove_unused(folder)
             with tempfile.TemporaryDirectory(dir=folder) as made:
-                compiler = _Compiler(find_compiler(), kind, Path(made))
+                compiler = _Compiler(find_compiler(), kind, Path(made), flags)
                 for level, path in compiler.make(units, target, missing, folder / "objects").items():
                     name = f"{digest}-{path.name}"
                     index[level] = name, _hash(path)
@@ -168,21 +193,23 @@ def build_all(target: str, folder: Path) -> list[Path]:
 
 def find_compiler() -> list[str]:
     """The command that compiles C++. Raises CannotBuild without one."""
-    if importlib.util.find_spec("ziglang") is None:
+    package = importlib.util.find_spec("ziglang")
+    if package is None or package.origin is None:
         raise CannotBuild(f"the kernels are not compiled, and there is no compiler: pip install ziglang=={ZIG}")
     from importlib.metadata import version
 
     found = version("ziglang")
     if found != ZIG:
         raise CannotBuild(f"ziglang {found} would compile other kernels: pip install ziglang=={ZIG}")
-    return [sys.executable, "-m", "ziglang", "c++"]
+    # itself: `python -m ziglang` would start a Python for each file
+    return [str(Path(package.origin).with_name("zig.exe" if sys.platform == "win32" else "zig")), "c++"]
 
 
 class _Compiler:
     """Runs the compiler for a kind of machine, in a folder that is removed afterwards."""
 
-    def __init__(self, command: list[str], target: Target, folder: Path) -> None:
-        self._command, self._target, self._folder = command, target, folder
+    def __init__(self, command: list[str], target: Target, folder: Path, flags: Sequence[str]) -> None:
+        self._command, self._target, self._folder, self._flags = command, target, folder, flags
         self._environment = os.environ | {"ZIG_LOCAL_CACHE_DIR": str(folder / "local")}
         if target.flags == ALONE:
             self._environment["ZIG_GLOBAL_CACHE_DIR"] = str(folder / "global")  # there is nothing to keep in it
@@ -190,7 +217,7 @@ class _Compiler:
     def make(self, units: Sequence[Path], target: str, levels: Sequence[str], objects: Path) -> dict[str, Path]:
         """Libraries of some levels; what is in the folder of objects already is not compiled again."""
         objects.mkdir(exist_ok=True)
-        parts = {(unit, level): objects / f"{digest_of([unit], target)}-{unit.stem}-{level}.o"
+        parts = {(unit, level): objects / f"{digest_of([unit], target, self._flags)}-{unit.stem}-{level}.o"
                  for unit in sorted(units, key=lambda unit: -unit.stat().st_size) for level in levels}
         kept = [path for path in parts.values() if path.exists()]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -211,7 +238,7 @@ class _Compiler:
     def _compile(self, unit: Path, level: str, made: Path) -> None:
         kept = self._folder / made.name
         language = ("-x", "c++") if unit.suffix == ".h" else ()
-        self._run(level, *FLAGS, "-I", HERE, "-c", "-o", kept, *language, unit)
+        self._run(level, *FLAGS, *self._flags, "-I", HERE, "-c", "-o", kept, *language, unit)
         os.replace(kept, made)
 
     def _run(self, level: str, *arguments: str | Path) -> None:
@@ -245,7 +272,7 @@ def _locked(path: Path) -> Iterator[None]:
 
 def _remove_unused(folder: Path) -> None:
     now = time.time()
-    for path in (*folder.glob("*-*.*"), *folder.glob("objects/*.o")):
+    for path in (*folder.glob("*-*.*"), *folder.glob("*.lock"), *folder.glob("objects/*.o")):
         with suppress(OSError):
             if now - path.stat().st_mtime > UNUSED:
                 path.unlink()

@@ -1,8 +1,9 @@
 """Kernels in C++: the library that holds them, and their rows as Python calls them.
 
-A wheel brings a library for every level of the processor. A checkout compiles the one of this processor's level when a
-kernel is first used, in a few seconds, and the files that have changed when they have (`build.py`). A plug-in's kernels
-are compiled likewise from the header that it brings, into the user's cache.
+A wheel brings a library for every level of the processor. So has a checkout where it was installed; where sources have
+changed since, it compiles kernels for this processor's level when they are first used, each as a library of its own or
+with those of its file (`build.py`). A plug-in's kernels are compiled likewise from the header that it brings, into the
+user's cache.
 """
 
 from __future__ import annotations
@@ -10,8 +11,11 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Iterable, Sequence
-from functools import cache
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import cache, cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,9 +39,14 @@ class Rows:
 
     def __init__(self, name: str, header: Path | None = None, level: str | None = None) -> None:
         self.name, self.header, self.level = name, header, level
+        self._forms: dict[Kinds, Form] = {}
 
     def __call__(self, first: int, last: int, *arrays: np.ndarray) -> None:
-        self.form(kinds_of(arrays))(first, last, *arrays)
+        kinds = kinds_of(arrays)
+        form = self._forms.get(kinds)
+        if form is None:
+            form = self._forms[kinds] = self.form(kinds)
+        form(first, last, *arrays)
 
     def bind(self, arrays: Sequence[np.ndarray]) -> BoundRows:
         """The same with all arrays given, for threads."""
@@ -48,18 +57,43 @@ class Rows:
         return _form(self.name, self.header, self.level, kinds)
 
     def prepare(self, kinds: Kinds) -> None:
-        """Have the kernel ready before the first frame."""
-        self.form(kinds)
+        """Have the kernel ready before the first frame. One of ours that is to be compiled is so beside others."""
+        if self.header is None and not _is_compiled(self.name, self.level):
+            _compilers().submit(open_library, self.name, None, self.level)  # what fails there fails in `form`
+        else:
+            self.form(kinds)
+
+
+class Function:
+    """A function of ours in C++ of whole numbers and addresses: `function(*numbers)`. It runs without the
+    interpreter's lock, and returns a whole number.
+
+    Args:
+        name: that it is exported by.
+        count: of its arguments.
+    """
+
+    def __init__(self, name: str, count: int) -> None:
+        self._name, self._count = name, count
+
+    @cached_property
+    def _entry(self) -> Any:
+        entry = getattr(open_library(self._name), self._name)
+        entry.argtypes, entry.restype = (ctypes.c_int64,) * self._count, ctypes.c_int64
+        return entry
+
+    def __call__(self, *numbers: int) -> int:
+        found: int = self._entry(*numbers)
+        return found
 
 
 @cache
 def _form(name: str, header: Path | None, level: str | None, kinds: Kinds) -> Form:
-    library = open_library(header, level)
+    library = open_library(name, header, level)
     try:
         takes = getattr(library, f"{name}_takes")
     except AttributeError:
-        where = header or "postfx/kernels"
-        raise BindingError(f"{where} exports no kernel '{name}': write EXPORT({name}, rows) there") from None
+        raise _no_kernel(header or build.HERE, name) from None
     takes.restype = ctypes.c_char_p
     wanted, given = list(_split(takes().decode())), [_written(kind) for kind in kinds]
     fits = len(wanted) == len(given) and all(one in (other, f"{other[:-1]}r") for one, other in
@@ -82,13 +116,44 @@ def _written(kind: str | None) -> str:
 
 
 @cache
-def open_library(header: Path | None = None, level: str | None = None) -> ctypes.CDLL:
-    """The library of this processor's level, or of another one.
+def open_library(name: str, header: Path | None = None, level: str | None = None) -> ctypes.CDLL:
+    """The library of a plug-in, or that which has a kernel of ours, for this processor's level or another one.
 
     Raises DeviceError where there is none and none can be made.
     """
-    units = [header] if header else build.our_units()
-    return ctypes.CDLL(str(_find_or_build(units, level or levels()[-1], own=header is None)))
+    level = level or levels()[-1]
+    if header:
+        return ctypes.CDLL(str(_find_or_build([header], level, own=False)))
+    part = _parts().get(name)
+    if part is None:
+        raise _no_kernel(build.HERE, name)
+    path = _whole_library(level) or _find_or_build([part.unit], level, own=True, flags=part.flags)
+    return ctypes.CDLL(str(path))
+
+
+def _no_kernel(where: Path, name: str) -> BindingError:
+    return BindingError(f"{where} exports no kernel '{name}': write EXPORT({name}, rows) there")
+
+
+_parts = cache(build.our_parts)
+
+
+@cache
+def _compilers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="postfx compiler")
+
+
+@cache
+def _whole_library(level: str) -> Path | None:
+    """The library of all our kernels, where there is one."""
+    return _find(_folders(own=True), build.digest_of(build.our_units(), _this_target()), level)
+
+
+def _is_compiled(name: str, level: str | None) -> bool:
+    level, part = level or levels()[-1], _parts().get(name)
+    if part is None or _whole_library(level):
+        return True
+    return _find(_folders(own=True), build.digest_of([part.unit], _this_target(), part.flags), level) is not None
 
 
 @cache
@@ -110,20 +175,29 @@ def _this_target() -> str:
         raise DeviceError(str(error)) from None
 
 
-def _find_or_build(units: list[Path], level: str, own: bool) -> Path:
+def _folders(own: bool) -> list[Path]:
+    """Where libraries may lie: ours in the package, and all in the user's cache."""
+    cache_folder = private_folder(FOLDER)
+    return [build.PACKAGED / _this_target()] * own + ([cache_folder] if cache_folder else [])
+
+
+def _find(folders: Iterable[Path], digest: str, level: str) -> Path | None:
+    return next((found[level] for found in (build.find(folder, digest) for folder in folders) if level in found), None)
+
+
+def _find_or_build(units: list[Path], level: str, own: bool, flags: Sequence[str] = ()) -> Path:
     target = _this_target()
     try:
-        digest = build.digest_of(units, target)
-        cache_folder = private_folder(FOLDER)
-        folders = [build.PACKAGED / target] * own + ([cache_folder] if cache_folder else [])
-        for folder in folders:
-            found = build.find(folder, digest)
-            if level in found:
-                return found[level]
+        folders = _folders(own)
+        found = _find(folders, build.digest_of(units, target, flags), level)
+        if found:
+            with suppress(OSError):
+                found.touch()  # marks it as used
+            return found
         writable = [folder for folder in folders if _can_write(folder)]
         if not writable:
             raise build.CannotBuild("compiled kernels can be kept nowhere: set XDG_CACHE_HOME to a folder of your own")
-        return build.build(units, target, writable[0], [level])[level]
+        return build.build(units, target, writable[0], [level], flags)[level]
     except (build.CannotBuild, OSError) as error:
         raise DeviceError(str(error)) from None
 

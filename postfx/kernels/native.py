@@ -37,6 +37,7 @@ FEATURES = "-prefer-256-bit"
 """Vectors as wide as the level has them: what processors that Numba knows by name get, so pixels are the same bits."""
 SCALARS = {bool: "?", np.bool_: "?", int: "q", np.int64: "q", float: "d", np.float64: "d", np.float32: "f"}
 """Types of numbers that a function may be called with, as `struct` names them."""
+_WITHOUT_GAPS, _ALIGNED, _WRITEABLE = 0x1, 0x100, 0x400  # NumPy's flags of arrays
 WORDS = {"?": "q", "q": "q", "d": "d", "f": "f4x"}
 """How they are put into words of 8 bytes."""
 
@@ -203,19 +204,14 @@ class Form:
             raise RuntimeError(f"kernel {self._name} failed, probably for want of memory")
 
 
-MOST_WORDS = 512
-"""Words that a function of Numba's is called with; those beyond the ones that it takes lie unread on the stack."""
-
-
 class BoundRows:
     """A kernel's rows with all arrays given, as a function of the first and the last row, which threads may also call
     without Python's lock.
 
     Args:
         call: the function.
-        entry: address of `int entry(const int64_t *words, void *)`, or 0 for a function of Numba's, whose own address
-            the words begin with. It then gets the other words, of which the first two are places for what it returns.
-        words: with zeros for the first and the last row, and for those places.
+        entry: address of `int entry(const int64_t *words, void *)`.
+        words: with zeros for the first and the last row.
         arrays: which live as long as their addresses.
 
     Attributes:
@@ -234,13 +230,9 @@ class BoundRows:
     def blocks(self, edges: Sequence[int]) -> np.ndarray:
         """The words (bands, count) of each band between two edges."""
         if self._edges != edges:
-            at, size = (0, len(self._words)) if self.entry else (3, 1 + MOST_WORDS)
-            blocks = np.zeros((len(edges) - 1, size + 2), np.int64)
-            blocks[:, :len(self._words)] = self._words
-            blocks[:, at], blocks[:, at + 1] = edges[:-1], edges[1:]
-            if not self.entry:
-                ends = blocks.ctypes.data + blocks.strides[0] * np.arange(1, len(edges))
-                blocks[:, 1], blocks[:, 2] = ends - 2 * blocks.itemsize, ends - blocks.itemsize
+            blocks = np.empty((len(edges) - 1, len(self._words)), np.int64)
+            blocks[:] = self._words
+            blocks[:, 0], blocks[:, 1] = edges[:-1], edges[1:]
             self._edges, self._blocks = edges, blocks
         return self._blocks
 
@@ -251,41 +243,17 @@ class BoundRows:
         raise RuntimeError(f"kernel {self._name} failed, probably for want of memory")
 
 
-def _bind_compiled(rows: Any, arrays: Sequence[np.ndarray]) -> BoundRows | None:
-    """Rows that Numba compiles, if they need no lock and take contiguous arrays."""
-    kinds = kinds_of(arrays)
-    address = None if None in kinds or not hasattr(rows, "targetoptions") else _address_of(rows, kinds)
-    words = [address or 0, 0, 0, 0, 0]  # and of each array: nobody counts who uses it, sizes, address, shape, strides
-    for array in arrays:
-        words += 0, 0, array.size, array.itemsize, array.__array_interface__["data"][0], *array.shape, *array.strides
-    if not address or len(words) > MOST_WORDS:
-        return None
-    return BoundRows(rows.__name__, lambda first, last: rows(first, last, *arrays), 0, words, tuple(arrays))
-
-
-@cache
-def _address_of(rows: Any, kinds: Kinds) -> int | None:
-    """Where rows that Numba compiles for arrays of these kinds lie; None if they need Python's lock."""
-    if not rows.targetoptions.get("nogil"):
-        return None
-    types = signature(("q", "q", *kinds))
-    rows.compile(types)
-    compiled = rows.overloads[types]
-    address: int = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
-    return address
-
-
 def kinds_of(arguments: Iterable[Any]) -> Kinds:
     """Kinds of arguments."""
-    return tuple([_array_kind(value) if isinstance(value, np.ndarray) else SCALARS.get(type(value))
-                  for value in arguments])
+    return tuple([_array_kind(value.dtype, value.ndim, value.flags.num) if isinstance(value, np.ndarray)
+                  else SCALARS.get(type(value)) for value in arguments])
 
 
-def _array_kind(array: np.ndarray) -> str | None:
-    flags = array.flags
-    if not (flags.c_contiguous and flags.aligned):
+@cache  # looking at a type and at flags by name takes longer than many a kernel
+def _array_kind(dtype: np.dtype, axes: int, flags: int) -> str | None:
+    if ~flags & (_WITHOUT_GAPS | _ALIGNED):
         return None
-    return f"{array.dtype.str}:{array.ndim}{'' if flags.writeable else 'r'}"
+    return f"{dtype.str}:{axes}{'' if flags & _WRITEABLE else 'r'}"
 
 
 def axes_of(kind: str) -> int:
@@ -307,7 +275,11 @@ def words_of(arguments: Iterable[Any]) -> list[Any]:
     words: list[Any] = []
     for value in arguments:
         if isinstance(value, np.ndarray):
-            words += value.__array_interface__["data"][0], *value.shape
+            try:
+                words.append(ctypes.addressof(ctypes.c_char.from_buffer(value)))  # in a quarter of the time
+            except (TypeError, ValueError):  # only to be read, or empty
+                words.append(value.__array_interface__["data"][0])
+            words += value.shape
         else:
             words.append(value)
     return words
@@ -318,7 +290,7 @@ def bind_rows(rows: Callable[..., None], arrays: Sequence[np.ndarray]) -> Callab
     if hasattr(rows, "bind"):
         bound: Callable[[int, int], None] = rows.bind(arrays)
         return bound
-    return _bind_compiled(rows, arrays) or (lambda first, last: rows(first, last, *arrays))
+    return lambda first, last: rows(first, last, *arrays)
 
 
 def compile_rows(rows: Callable[..., None], arrays: Sequence[str]) -> None:

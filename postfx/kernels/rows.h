@@ -111,6 +111,7 @@ template <> constexpr const char* type_name<int>() { return "i4"; }
 template <> constexpr const char* type_name<byte>() { return "u1"; }
 template <> constexpr const char* type_name<sbyte>() { return "i1"; }
 template <> constexpr const char* type_name<bool>() { return "b1"; }
+template <> constexpr const char* type_name<unsigned short>() { return "u2"; }
 template <> constexpr const char* type_name<unsigned>() { return "u4"; }
 template <> constexpr const char* type_name<Long>() { return "i8"; }
 template <> constexpr const char* type_name<double>() { return "f8"; }
@@ -150,9 +151,25 @@ template <class R, class... A> const char* kinds_of(R (*)(Long, Long, A...)) {
     return kinds.text;
 }
 
-#define EXPORT(name, rows)                                                      \
+#define EXPORT_ONE(name, rows)                                                \
     EXPORTED int name(const Word* words, void*) { return call(rows, words); } \
     EXPORTED const char* name##_takes() { return kinds_of(rows); }
+#define EXPORT_NONE(name, rows)
+
+// A library of a wheel has all kernels. A checkout compiles those of a file together when one of
+// them is first needed, but for those that take a compiler long: each of these ALONE.
+#define SECOND(first, second, ...) second
+#define PICK(...) SECOND(__VA_ARGS__)
+#if defined(ALONE)  // build.py says that ALONE_name is `~, EXPORT_ONE`
+#define EXPORT(name, rows) EXPORT_NONE(name, rows)
+#define EXPORT_ALONE(name, rows) PICK(ALONE_##name, EXPORT_NONE, )(name, rows)
+#elif defined(TOGETHER)
+#define EXPORT(name, rows) EXPORT_ONE(name, rows)
+#define EXPORT_ALONE(name, rows) EXPORT_NONE(name, rows)
+#else
+#define EXPORT(name, rows) EXPORT_ONE(name, rows)
+#define EXPORT_ALONE(name, rows) EXPORT_ONE(name, rows)
+#endif
 
 // Work on pixels `first` to `last` - 1 of a row: pixels(F(), x) makes those from x on, as many as F
 // has numbers. Some may be made twice, so they must not be read from where they are written.

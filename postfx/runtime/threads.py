@@ -13,22 +13,20 @@ takes so long that, of sixteen threads, the first would be away again before the
 from __future__ import annotations
 
 import atexit
-import platform
 import queue
-import sys
 import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, wait
 from functools import cache, partial
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from postfx.errors import CommandError, CommandTimeout
-from postfx.kernels.native import MOST_WORDS, BoundRows, intrinsic, ir, types
-from postfx.kernels.numeric import compiled
+from postfx.kernels.library import Function
+from postfx.kernels.native import BoundRows
 from postfx.workers import Workers
 
 LOOK = 100e-6
@@ -36,22 +34,27 @@ LOOK = 100e-6
 DELAY = 5e-6
 """Seconds after which a helper takes the interpreter's lock: by then the thread that gave it a band has released it."""
 NAP = 20e-6
-NAPS, NANOSECONDS = 5, 20_000_000
-"""A helper dozes so many times so long before it is away. A program that ends waits for that."""
-AWAY, WAITING, DOZING, BUSY = range(4)
+NANOSECONDS = 20_000_000
+"""How long a helper dozes each of five times before it is away. A program that ends waits for that."""
 FLAG, ENTRY, WORDS, STATUS, TIMEOUT = range(5)
 LINE = 8
-FUTEX, FUTEX_WAIT, FUTEX_WAKE = {"x86_64": 202, "aarch64": 98}, 128, 129
-"""Linux's system call by processor, and its private operations (futex(2))."""
 PYTHON = -1
 """In place of an entry: a band that is a function of Python's."""
+AWAY = 0
+"""Flag of a helper that is to be started."""
 ASLEEP = 2
 """Status of a band whose helper is away and to be started."""
-NONE = -2
-"""What Numba's functions return where they end without a value."""
 SAMPLE = 2000
-PAUSES = {"x86_64": ("llvm.x86.sse2.pause", ()), "aarch64": ("llvm.aarch64.hint", (1,))}
-"""LLVM's instruction for a thread that only waits, by processor: its name and arguments."""
+"""Pauses of which the time is measured."""
+
+# Of threads.cpp, which explains them. A helper is given by the address of its row.
+make_pauses = Function("make_pauses", 1)
+run_entry = Function("run_entry", 2)
+is_taken = Function("is_taken", 3)
+hand_out = Function("hand_out", 5)
+report_done = Function("report_done", 1)
+is_called = Function("is_called", 3)
+are_done = Function("are_done", 3)
 
 Work = queue.SimpleQueue[Callable[[], None] | None]
 
@@ -142,6 +145,7 @@ class Helpers:
         self._pool = Workers(count, thread_name_prefix="postfx band")
         self._board = np.zeros((count, LINE), np.int64)
         self._board[:, TIMEOUT + 1] = NANOSECONDS
+        self._rows = [self._board[i:].ctypes.data for i in range(count)]
         self._bands: list[Band | None] = [None] * count
         self._failures: list[BaseException | None] = [None] * count
         self._looks, self._delay = pauses_in(LOOK), pauses_in(DELAY)
@@ -155,7 +159,7 @@ class Helpers:
             try:
                 for i, band in enumerate(others):
                     self._bands[i], self._failures[i] = band, None
-                    is_awake = is_taken(self._board, i, PYTHON, 0)
+                    is_awake = is_taken(self._rows[i], PYTHON, 0)
                     handed += 1
                     if not is_awake:
                         self._pool.submit(self._help, i)
@@ -173,7 +177,7 @@ class Helpers:
         blocks = rows.blocks(edges)
         words, (bands, size) = blocks.ctypes.data, blocks.shape
         with self._lock:
-            if hand_out(self._board, rows.entry, words, size, bands):
+            if hand_out(self._rows[0], rows.entry, words, size, bands):
                 for i in np.flatnonzero(self._board[:bands - 1, STATUS] == ASLEEP).tolist():
                     self._pool.submit(self._help, i)
             failed = run_entry(rows.entry, words)
@@ -184,11 +188,11 @@ class Helpers:
 
     def _wait(self, count: int) -> None:
         """Until the first helpers are done with their bands."""
-        while not are_done(self._board, count, self._looks):
+        while not are_done(self._rows[0], count, self._looks):
             time.sleep(NAP)
 
     def _help(self, i: int) -> None:
-        while is_called(self._board, i, self._looks, self._delay):
+        while is_called(self._rows[i], self._looks, self._delay):
             try:
                 band = self._bands[i]
                 assert band is not None
@@ -196,200 +200,22 @@ class Helpers:
             except BaseException as error:  # of any kind: the thread that waits must see it
                 self._failures[i] = error
             self._bands[i] = None
-            report(self._board, i)
-
-
-@intrinsic
-def load_flag(typingctx: Any, board: Any, i: Any) -> Any:
-    """The flag of row i, read atomically."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.load_atomic(_place(context, builder, signature, arguments), "seq_cst", LINE)
-
-    return types.int64(board, i), generate
-
-
-@intrinsic
-def replace_flag(typingctx: Any, board: Any, i: Any, known: Any, new: Any) -> Any:
-    """Atomically set the flag of row i to `new` if it is `known`; whether it was."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = _place(context, builder, signature, arguments)
-        found = builder.cmpxchg(place, arguments[2], arguments[3], "seq_cst", "seq_cst")
-        return builder.extract_value(found, 1)
-
-    return types.boolean(board, i, types.int64, types.int64), generate
-
-
-@intrinsic
-def futex(typingctx: Any, board: Any, i: Any, operation: Any, value: Any) -> Any:
-    """Linux's call on the flag of row i, with the row's timeout; -1 at once on other systems."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        word, number = ir.IntType(64), FUTEX.get(platform.machine()) if sys.platform == "linux" else None
-        if number is None:
-            return word(-1)
-        place = _place(context, builder, signature, arguments)
-        call = builder.module.globals.get("syscall") or ir.Function(
-            builder.module, ir.FunctionType(word, [word], var_arg=True), "syscall")
-        return builder.call(call, [word(number), place, arguments[2], arguments[3],
-                                   builder.gep(place, [word(TIMEOUT)]), word(0), word(0)])
-
-    return types.int64(board, i, types.int64, types.int64), generate
-
-
-@intrinsic
-def call_entry(typingctx: Any, entry: Any, words: Any) -> Any:
-    """Call `int entry(const int64_t *words, void *)`, given both addresses."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer, status = ir.IntType(8).as_pointer(), ir.IntType(32)
-        function = builder.inttoptr(arguments[0], ir.FunctionType(status, [pointer, pointer]).as_pointer())
-        return builder.call(function, [builder.inttoptr(arguments[1], pointer), ir.Constant(pointer, None)])
-
-    return types.int32(types.int64, types.int64), generate
-
-
-@intrinsic
-def call_compiled(typingctx: Any, words: Any) -> Any:
-    """Call the function of Numba's whose address is the first of the words with the others. All are numbers of 64 bits
-    or addresses, which are passed alike, and the caller takes those that it does not use from the stack again."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        word, count = ir.IntType(64), MOST_WORDS
-        start = builder.inttoptr(arguments[0], word.as_pointer())
-        given = [builder.load(builder.gep(start, [word(k)])) for k in range(1 + count)]
-        function = builder.inttoptr(given[0], ir.FunctionType(ir.IntType(32), [word] * count).as_pointer())
-        return builder.call(function, given[1:])
-
-    return types.int32(types.int64), generate
-
-
-@intrinsic
-def pause(typingctx: Any) -> Any:
-    """Pause for a few processor cycles."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        name, given = PAUSES.get(platform.machine(), (None, ()))
-        if name:
-            kinds = [ir.IntType(32)] * len(given)
-            function = builder.module.declare_intrinsic(name, (), ir.FunctionType(ir.VoidType(), kinds))
-            builder.call(function, [kind(value) for kind, value in zip(kinds, given, strict=True)])
-        return context.get_dummy_value()
-
-    return types.void(), generate
-
-
-def _place(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    board = context.make_array(signature.args[0])(context, builder, arguments[0])
-    return builder.gep(board.data, [builder.mul(arguments[1], arguments[1].type(LINE))])
-
-
-@compiled
-def pauses(count: int) -> None:
-    for _ in range(count):
-        pause()
-
-
-@compiled
-def run_entry(entry: int, words: int) -> int:
-    """Run compiled rows; 1 if they failed."""
-    if entry == 0:
-        status = call_compiled(words)
-        return int(status != 0 and status != NONE)
-    return int(call_entry(entry, words) != 0)
-
-
-@compiled
-def is_taken(board: np.ndarray, i: int, entry: int, words: int) -> bool:
-    """Hand a helper its next band; False if it is away."""
-    board[i, ENTRY], board[i, WORDS], board[i, STATUS] = entry, words, 0
-    if replace_flag(board, i, WAITING, BUSY):
-        return True
-    if replace_flag(board, i, DOZING, BUSY):
-        futex(board, i, FUTEX_WAKE, 1)
-        return True
-    replace_flag(board, i, AWAY, BUSY)
-    return False
-
-
-@compiled
-def hand_out(board: np.ndarray, entry: int, words: int, size: int, bands: int) -> bool:
-    """Hand helpers the bands from the second on, each with its `size` words; whether any is away."""
-    some = False
-    for i in range(bands - 1):
-        if not is_taken(board, i, entry, words + 8 * size * (i + 1)):
-            board[i, STATUS], some = ASLEEP, True
-    return some
-
-
-@compiled
-def report(board: np.ndarray, i: int) -> None:
-    """A helper is done with its band."""
-    replace_flag(board, i, BUSY, WAITING)
-
-
-@compiled
-def has_gone(board: np.ndarray, i: int) -> bool:
-    """Let a helper doze until it is called; True if it is not, and away from now on."""
-    last = WAITING
-    if futex(board, i, FUTEX_WAKE, 0) == 0 and replace_flag(board, i, WAITING, DOZING):
-        last = DOZING
-        for _ in range(NAPS):
-            futex(board, i, FUTEX_WAIT, DOZING)
-            if load_flag(board, i) != DOZING:
-                return False
-    return bool(replace_flag(board, i, last, AWAY))
-
-
-@compiled
-def is_called(board: np.ndarray, i: int, looks: int, delay: int) -> bool:
-    """Work on a helper's bands as they come.
-
-    True if one came that is Python's, after `delay` pauses in which the thread that gave it can release the
-    interpreter's lock; False if none came for long and the helper is away.
-    """
-    left = looks
-    while True:
-        if load_flag(board, i) != BUSY:
-            if left == 0 and has_gone(board, i):
-                return False
-            left = max(left - 1, 0)
-            pause()
-            continue
-        if board[i, ENTRY] == PYTHON:
-            pauses(delay)
-            return True
-        board[i, STATUS] = run_entry(board[i, ENTRY], board[i, WORDS])
-        report(board, i)
-        left = looks
-
-
-@compiled
-def are_done(board: np.ndarray, count: int, looks: int) -> bool:
-    """Spin until the first helpers are done with their bands; False if that takes too long."""
-    for i in range(count):
-        left = looks
-        while load_flag(board, i) == BUSY:
-            left -= 1
-            if left < 0:
-                return False
-            pause()
-    return True
+            report_done(self._rows[i])
 
 
 @cache
 def pauses_in(seconds: float) -> int:
     """About how many pauses this processor makes in that time, at least 1."""
-    pauses(1)
+    make_pauses(1)
     least = min(_time_pauses(SAMPLE) for _ in range(3))
     return max(1, int(seconds * SAMPLE / least))
 
 
 def _time_pauses(count: int) -> float:
     begin = time.perf_counter()
-    pauses(count)
+    make_pauses(count)
     return time.perf_counter() - begin
+
 
 class HasLabel(Protocol):
     """What messages name."""

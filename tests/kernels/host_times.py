@@ -25,6 +25,11 @@ CALLS = {
     "bad pixels": "repair_nonfinite(Frame({Role.COLOUR: colour}), (Role.COLOUR,))[1] == {}",
     "copy": "copy(colour, kept)",
     "interpolation: finite": "interpolate._finite(colour) is colour",
+    "half floats": "to_halves(colour)",
+    "8 bits with dither": "quantise(colour, 8, Dither.STATIC)",
+    "PNG's filter": "filtered(quantise(colour, 8, Dither.NONE))",
+    "chunk of ZIP, there and back": "packed(to_halves(colour[:16]))",
+    "channels put together": "widened(words)",
 }
 WORKER = """
 import sys, time
@@ -33,7 +38,8 @@ from postfx import interpolate
 from postfx.cuts import CutDetector
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
-from postfx.kernels import library
+from postfx.io.encode import Dither, quantise, to_halves
+from postfx.kernels import library, pixel_formats
 from postfx.passes.denoise.planes import near_cells, shows_volume
 from postfx.passes.denoise.tiling import active_cells
 from postfx.repair import repair_nonfinite
@@ -63,6 +69,29 @@ def relate(colour):
 def copy(source, target):
     HostMemory().copy(target.ctypes.data, source.ctypes.data, source.nbytes)
     return target[::100]
+
+
+words = random.integers(0, 1 << 16, (1080, 3 * 1920)).astype(np.uint16)
+
+
+def filtered(codes):
+    rows = codes.reshape(1080, -1)
+    found = np.empty((1080, rows.shape[1] + 1), np.uint8)
+    pixel_formats.paeth(rows, np.zeros_like(rows[0]), 3, found)
+    return found
+
+
+def packed(halves):
+    lines = np.ascontiguousarray(halves).view(np.uint8).reshape(16, -1)
+    found = np.empty(lines.size // 2, np.uint16)
+    pixel_formats.decompress_rows(pixel_formats.compress_rows(lines), found)
+    return found
+
+
+def widened(words):
+    found = np.empty((1080, 1920, 3), np.uint32)
+    pixel_formats.widen_rows(words, np.array([(1, 0), (1, 1920), (1, 3840)]), found)
+    return found
 
 
 call = compile(call, "call", "eval")

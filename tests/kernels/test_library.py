@@ -25,6 +25,7 @@ from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECOD
 from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, MIX_LEVELS, POOL, REMODULATE
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
 from postfx.kernels.library import Rows
+from postfx.kernels.occlusion import LOOK, SURFACE
 from postfx.runtime import ArgumentTable, Device
 from tests.conftest import REPOSITORY
 from tests.kernels import denoise_cases, foreign, host_cuda
@@ -79,6 +80,70 @@ def test_every_level_gives_the_same_bits(kernel: Kernel) -> None:
         for one, other in zip(at_level(kernel, "baseline", inputs, case), wanted, strict=True):
             scale = np.abs(other[np.isfinite(other)]).max(initial=1)
             np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5 * scale, err_msg=str(case))
+
+
+def other_rows() -> Iterator[tuple[str, list[np.ndarray], list[np.ndarray]]]:
+    """Names of rows that are no denoiser's, with what they read and write; planes hold NaN and infinity."""
+    random, (h, w) = np.random.default_rng(4), (19, 77)
+    light = np.exp2(random.normal(-2, 8, (h * w * 3))).astype(np.float32)
+    light[::13], light[1::17], light[2::19] = np.nan, np.inf, -light[2::19]
+    plain, words = random.integers(0, 256, 2 * h * w * 8, np.uint8), random.integers(0, 1 << 16, (h, 3 * w))
+    byte_rows, channels = plain[:h * w].reshape(h, w), np.array([(1, 0), (2, w)])
+    yield "halve_pixels", [light], [np.zeros((3, h * w), np.uint16)]
+    yield "widen_rows", [words.astype(np.uint16), channels], [np.zeros((h, w, 2), np.float32)]
+    yield "look_up", [light, np.linspace(0, 2, 100, dtype=np.float32)], [np.zeros_like(light), np.zeros(1, bool)]
+    yield ("dither_rows", [light.reshape(h, -1), np.float32([255]), random.random((7, 48), np.float32)],
+           [np.zeros((h, 3 * w), np.uint8)])
+    yield "filter_rows", [byte_rows, byte_rows[3].copy(), np.array([3])], [np.zeros((h, w + 1), np.uint8)]
+    yield "predict_bytes", [plain], [np.zeros_like(plain)]
+    yield "unpredict_bytes", [plain], [np.zeros(plain.size // 2, np.uint16)]
+    normal, depth = random.normal(0, 1, (h, w, 3)).astype(np.float32), 1 + random.random((h, w, 1), np.float32)
+    normal[2, 3], depth[4, 5], depth[6, 7] = np.nan, np.inf, np.nan
+    camera, settings = np.float32([*np.eye(3).ravel(), 0.4, 0.5, 0.3]), np.float32([0.6, 0.3])
+    surface, visible = np.zeros((h, w, 4), np.float32), np.zeros((h, w), np.float32)
+    yield "occlusion_surface", [normal, depth, camera], [surface]
+    SURFACE.rows(0, h, normal, depth, camera, surface)
+    yield "occlusion_horizons", [surface, camera, settings], [visible]
+    noisy = random.random((h, w), np.float32)
+    yield "occlusion_smooth", [surface, noisy], [visible]
+    points = np.zeros((5 * w, LOOK), np.float32)
+    yield "occlusion_looks", [surface, camera, noisy, noisy, np.float32([3])], [points]
+
+
+@pytest.mark.parametrize(("name", "read", "written"), [*other_rows()], ids=lambda value: value if isinstance(value, str)
+                         else "")
+def test_other_rows_give_the_same_bits_at_every_level(name: str, read: list[np.ndarray],
+                                                      written: list[np.ndarray]) -> None:
+    """Without fused products, too, but where a logarithm has them; what is no number stays where it is."""
+    rows = len(written[0]) if written[0].ndim > 1 and name != "halve_pixels" else written[0].shape[-1]
+    found = {}
+    for level in library.levels():
+        found[level] = [np.zeros_like(array) for array in written]
+        Rows(name, level=level)(0, rows, *read, *found[level])
+    for level, arrays in found.items():
+        for one, other in zip(arrays, found[FUSED[0]], strict=True):
+            off = 1e-6 if level == "baseline" and name == "occlusion_looks" else 0
+            np.testing.assert_allclose(one, other, off, off, err_msg=level)
+            assert name == "widen_rows" or one.dtype != np.float32 or np.isfinite(one).all()
+
+
+@needs_compiler
+def test_a_checkout_compiles_only_what_is_used(plug_in: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A kernel alone, or the rest of its file; a whole library, where there is one, is taken for both."""
+    packaged = tmp_path / "packaged"
+    monkeypatch.setattr(build, "PACKAGED", packaged)
+    for made in (library._whole_library, library.open_library, library._form):
+        made.cache_clear()
+    parts = build.our_parts()
+    assert parts["denoise_strength"].alone and not parts["enlarge_motion"].alone
+    assert {kernel.rows.name for kernel in IN_CPP} <= {*parts}
+    strength, motion = (library.open_library(name) for name in ("denoise_strength", "enlarge_motion"))
+    assert len([*packaged.glob("*/objects/*.o")]) == 2
+    assert strength.denoise_strength_takes and motion.mix_partner_takes
+    for missing in ("denoise_restore", "denoise_judge"):
+        assert not hasattr(strength, missing)
+    for made in (library._whole_library, library.open_library, library._form):
+        made.cache_clear()
 
 
 @needs_compiler

@@ -4,39 +4,53 @@ from __future__ import annotations
 
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from postfx.kernels.library import Rows
 from postfx.kernels.native import BoundRows, bind_rows
-from postfx.kernels.numeric import compiled
 from postfx.runtime import threads
-from postfx.runtime.threads import LOOK, NANOSECONDS, NAPS, Band, Helpers
+from postfx.runtime.threads import LOOK, NANOSECONDS, Band, Helpers
+
+HEADER = """
+#include "rows.h"
+
+static void count_rows(Long first, Long last, View<double, 1> counts) {
+    for (Long y = first; y < last; y++) counts.at[y] += 1.0;
+}
+EXPORT(count, count_rows)
+
+static Status fail_rows(Long first, Long last, View<double, 1> counts) {
+    if (first <= 6 && last > 6) return NO_MEMORY;
+    count_rows(first, last, counts);
+    return DONE;
+}
+EXPORT(fail, fail_rows)
+"""
 
 
-@compiled
-def count_rows(y0, y1, counts):
-    for y in range(y0, y1):
-        counts[y] += 1
+@pytest.fixture(scope="module")
+def header(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("rows") / "count.h"
+    path.write_text(HEADER)
+    return path
 
 
-@compiled
-def fail_rows(y0, y1, counts):
-    for y in range(y0, y1):
-        if y == 6:
-            raise ValueError("row 6")
-        counts[y] += 1
+def count_rows(first: int, last: int, counts: np.ndarray) -> None:
+    counts[first:last] += 1
 
 
 def bands_of(rows, edges: list[int], *arrays: np.ndarray) -> list[Band]:
     return [Band(lambda first, last: rows(first, last, *arrays), *edge) for edge in zip(edges, edges[1:], strict=False)]
 
 
-@pytest.mark.parametrize(("pause", "times"), [(0, 200), (3 * LOOK, 20), (1.2e-9 * NAPS * NANOSECONDS, 4)],
+@pytest.mark.parametrize(("pause", "times"), [(0, 200), (3 * LOOK, 20), (6e-9 * NANOSECONDS, 4)],
                          ids=["at once", "while they doze", "after they went"])
-def test_every_row_is_worked_on_once(pause: float, times: int) -> None:
+def test_every_row_is_worked_on_once(header: Path, pause: float, times: int) -> None:
     helpers, counts, compiled_counts = Helpers(3), np.zeros(40), np.zeros(40)
-    bound = bind_rows(count_rows, [compiled_counts])
+    bound = bind_rows(Rows("count", header), [compiled_counts])
     assert isinstance(bound, BoundRows)
     for done in range(1, times):
         helpers.work(bands_of(count_rows, [0, 11, 12, 30, 40], counts))
@@ -73,11 +87,11 @@ def test_what_a_helper_raises_is_raised_and_the_next_work_is_done() -> None:
     assert (counts == 3).all()
 
 
-def test_what_compiled_rows_raise_is_raised_and_the_next_work_is_done() -> None:
+def test_compiled_rows_that_fail_are_an_error_and_the_next_work_is_done(header: Path) -> None:
     helpers, counts = Helpers(1), np.zeros(8)
-    failing, counting = (bind_rows(rows, [counts]) for rows in (fail_rows, count_rows))
+    failing, counting = (bind_rows(Rows(name, header), [counts]) for name in ("fail", "count"))
     for _ in range(3):
-        with pytest.raises(ValueError, match="row 6"):
+        with pytest.raises(RuntimeError, match="kernel fail failed, probably for want of memory"):
             helpers.run(failing, [0, 4, 8])
     before = counts.copy()
     helpers.run(counting, [0, 4, 8])

@@ -528,7 +528,7 @@ def _plain_chunks(header: Header, read: Rows, apart: bool) -> Iterator[tuple[int
 def _pack(get: Callable[[], Sequence[np.ndarray]], line_bytes: int, lines: int, top: int, compression: int
           ) -> list[bytes]:
     """Chunks of the channels (rows, width) that `get` gives; the number of their first row is `top`."""
-    from postfx.kernels.pixel_formats import compress_rows  # loads Numba, which reading must not wait for
+    from postfx.kernels.pixel_formats import compress_rows  # reading must not wait
 
     channels, at = get(), 0
     stored = np.empty((len(channels[0]), line_bytes), np.uint8)

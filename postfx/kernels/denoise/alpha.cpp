@@ -237,7 +237,7 @@ static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, P
     }
     return DONE;
 }
-EXPORT(denoise_gather, gather_rows)
+EXPORT_ALONE(denoise_gather, gather_rows)
 
 // Means of the output's pixels in render pixels.
 
@@ -341,7 +341,7 @@ static Status fit_rows(Long first, Long last, Picture picture, Picture next_samp
     }
     return DONE;
 }
-EXPORT(denoise_fit, fit_rows)
+EXPORT_ALONE(denoise_fit, fit_rows)
 
 // Correction.
 
@@ -619,7 +619,7 @@ static Status correct_rows(Long first, Long last, Picture enlarged, Picture pict
     }
     return DONE;
 }
-EXPORT(denoise_correct, correct_rows)
+EXPORT_ALONE(denoise_correct, correct_rows)
 
 // Filtering: the means of samples as the finest level, and the filtered level at output size.
 
@@ -643,7 +643,7 @@ static void level_rows(Long first, Long last, Picture next_samples, Places rows,
         for (Long x = w; x < width; x++) out[x] = 0.0f;
     }
 }
-EXPORT(denoise_alpha_level, level_rows)
+EXPORT_ALONE(denoise_alpha_level, level_rows)
 
 // By the picture's weights of 3x3 pixels; where nothing is near, that of the pixel itself.
 static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fine, Places part_rows,
@@ -709,4 +709,4 @@ static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fin
     }
     return DONE;
 }
-EXPORT(denoise_enlarge_alpha, enlarge_rows)
+EXPORT_ALONE(denoise_enlarge_alpha, enlarge_rows)

@@ -99,7 +99,7 @@ static Status gather_rows(Long first, Long last, Picture colour, Picture diffuse
     }
     return DONE;
 }
-EXPORT(denoise_classic_gather, gather_rows)
+EXPORT_ALONE(denoise_classic_gather, gather_rows)
 
 // The a-trous filter: taps of 1/4, 1/8 and 1/16; those beyond the picture do not count.
 
@@ -237,7 +237,7 @@ static Status atrous_rows(Long first, Long last, Picture light, Picture surface,
     }
     return DONE;
 }
-EXPORT(denoise_atrous, atrous_rows)
+EXPORT_ALONE(denoise_atrous, atrous_rows)
 
 // Light at the output's pixels, by a Gaussian around each.
 
@@ -328,4 +328,4 @@ static Status resolve_rows(Long first, Long last, Picture light, Picture factor,
     }
     return DONE;
 }
-EXPORT(denoise_resolve, resolve_rows)
+EXPORT_ALONE(denoise_resolve, resolve_rows)

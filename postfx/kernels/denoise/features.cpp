@@ -205,12 +205,12 @@ static Status stored_feature_rows(Long first, Long last, const Looks& looks, con
 static Status features(Long first, Long last, LOOKS, NewPicture past, View<float, 4> features) {
     return feature_rows(first, last, LOOKED, past, features);
 }
-EXPORT(denoise_features, features)
+EXPORT_ALONE(denoise_features, features)
 
 static Status stored_features(Long first, Long last, LOOKS, CodingOf coding, NewPicture past, View<byte, 4> stored) {
     return stored_feature_rows(first, last, LOOKED, coding, past, stored);
 }
-EXPORT(denoise_features_stored, stored_features)
+EXPORT_ALONE(denoise_features_stored, stored_features)
 
 // Planes in 8 bits.
 
@@ -228,8 +228,8 @@ static Status store_rows(Long first, Long last, View<const float, 4> planes, Cod
     }
     return DONE;
 }
-EXPORT(denoise_store, store_rows)
-EXPORT(denoise_store_ringed, store_rows)
+EXPORT_ALONE(denoise_store, store_rows)
+EXPORT_ALONE(denoise_store_ringed, store_rows)
 
 // Guides: the nearest pixel at every corner of what the network sees.
 
@@ -277,7 +277,7 @@ static Status guide_rows(Long first, Long last, Picture diffuse, Picture specula
     }
     return DONE;
 }
-EXPORT(denoise_guides, guide_rows)
+EXPORT_ALONE(denoise_guides, guide_rows)
 
 // Planes of what mirrors and glass show: albedo 0, normal 3.
 static Status mirrored_rows(Long first, Long last, Picture albedo, Picture normal, Given<Window> window,
@@ -294,7 +294,7 @@ static Status mirrored_rows(Long first, Long last, Picture albedo, Picture norma
     }
     return DONE;
 }
-EXPORT(denoise_mirrored, mirrored_rows)
+EXPORT_ALONE(denoise_mirrored, mirrored_rows)
 
 // How far the guides' reflectance is trusted, in cells: fully where its mean over a render pixel is the reflectance at
 // render size, less where that follows the detail, as with planes of one sample a pixel.
@@ -404,4 +404,4 @@ static Status trust_rows(Long first, Long last, Picture diffuse, Picture specula
     }
     return DONE;
 }
-EXPORT(denoise_trust, trust_rows)
+EXPORT_ALONE(denoise_trust, trust_rows)

@@ -21,7 +21,7 @@ static void reflectance_rows(Long first, Long last, Picture diffuse, Picture spe
         for (Long i = 3 * held; i < 3 * w; i++) out[i] = out[i - 3];
     }
 }
-EXPORT(denoise_reflectance, reflectance_rows)
+EXPORT_ALONE(denoise_reflectance, reflectance_rows)
 
 // Running mean.
 
@@ -103,7 +103,7 @@ static Status accumulate_rows(Long first, Long last, Picture part, Given<Coding>
     }
     return DONE;
 }
-EXPORT(denoise_accumulate_part, accumulate_rows)
+EXPORT_ALONE(denoise_accumulate_part, accumulate_rows)
 
 // Enlargement: the weights of a row are made once for all parts.
 
@@ -215,7 +215,7 @@ static Status light_rows(Long first, Long last, Picture radiance, FineHead fine,
     }
     return DONE;
 }
-EXPORT(denoise_upsample_light, light_rows)
+EXPORT_ALONE(denoise_upsample_light, light_rows)
 
 // Proportions.
 
@@ -271,7 +271,7 @@ static Status balance_rows(Long first, Long last, View<const float, 4> parts, Pi
     }
     return DONE;
 }
-EXPORT(denoise_balance, balance_rows)
+EXPORT_ALONE(denoise_balance, balance_rows)
 
 // Values of a plane from filtered ones. Planes of one channel were filtered as three.
 template <int CHANNELS>
@@ -303,9 +303,9 @@ FN void decode_rows(Long first, Long last, const Picture& filtered, const Decodi
 static void decode_three(Long first, Long last, Picture filtered, Given<Decoding> by, NewPicture plane) {
     decode_rows<3>(first, last, filtered, *by, plane);
 }
-EXPORT(denoise_decode, decode_three)
+EXPORT_ALONE(denoise_decode, decode_three)
 
 static void decode_one(Long first, Long last, Picture filtered, Given<Decoding> by, NewPicture plane) {
     decode_rows<1>(first, last, filtered, *by, plane);
 }
-EXPORT(denoise_decode_one, decode_one)
+EXPORT_ALONE(denoise_decode_one, decode_one)

@@ -52,7 +52,7 @@ static void pool_rows(Long first, Long last, Planes finer, Planes finer_importan
         for (Long x = end; whole && x < width; x++) edge(x);
     }
 }
-EXPORT(denoise_pool, pool_rows)
+EXPORT_ALONE(denoise_pool, pool_rows)
 
 // All rows of a level; for each row and column, the row and column of the coarser level that it lies
 // in is given. Of the fine head, the last channels are enough.
@@ -79,7 +79,7 @@ static void mix_rows(Long first, Long last, Planes coarse, Planes level, View<co
         }
     }
 }
-EXPORT(denoise_mix, mix_rows)
+EXPORT_ALONE(denoise_mix, mix_rows)
 
 // Filtering a row, whose weights may lie anywhere.
 
@@ -125,7 +125,7 @@ static void filter_rows(Long first, Long last, Planes mixed, View<const float, 4
         filter_planes(mixed, heads(0, 0, y), step, y, area, filtered);
     }
 }
-EXPORT(denoise_filter, filter_rows)
+EXPORT_ALONE(denoise_filter, filter_rows)
 
 // The same at the finest level, whose weights are made of codes, two rows at a time.
 static Status filter_codes_rows(Long first, Long last, Planes mixed, Codes codes, Factors factors,
@@ -144,7 +144,7 @@ static Status filter_codes_rows(Long first, Long last, Planes mixed, Codes codes
     }
     return DONE;
 }
-EXPORT(denoise_filter_codes, filter_codes_rows)
+EXPORT_ALONE(denoise_filter_codes, filter_codes_rows)
 
 // Filtered colour times reflectance: a border of repeated pixels lies around it, and rows and columns
 // of the part that lie beyond the frame repeat its last ones.
@@ -177,7 +177,7 @@ static void remodulate_rows(Long first, Long last, Planes filtered, View<const f
                             Places part_rows, Places part_columns, NewPlanes radiance) {
     remodulate_planes(first, last, filtered, factor, part_rows, part_columns, radiance, 0, true);
 }
-EXPORT(denoise_remodulate, remodulate_rows)
+EXPORT_ALONE(denoise_remodulate, remodulate_rows)
 
 // Filtered colour, then the same times reflectance.
 static void remodulate_both_rows(Long first, Long last, Planes filtered, View<const float, 3> factor,
@@ -185,4 +185,4 @@ static void remodulate_both_rows(Long first, Long last, Planes filtered, View<co
     remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 0, false);
     remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 3, true);
 }
-EXPORT(denoise_remodulate_both, remodulate_both_rows)
+EXPORT_ALONE(denoise_remodulate_both, remodulate_both_rows)

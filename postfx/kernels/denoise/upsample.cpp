@@ -130,8 +130,10 @@ FN void blend_row(const Rooms& rooms, const float* warped, float darken, float* 
     });
 }
 
-// Any of the kernels: fill(y, at) makes the guides of a row.
-template <Reflectance BY, class Fill>
+// Any of the kernels: fill(y, at) makes the guides of a row. Where the output is known to have the
+// render's SIZE, a compiler need not make the other ways.
+enum Size { ANY_SIZE, SAME_SIZE };
+template <Reflectance BY, Size SIZE, class Fill>
 FN Status upsample_rows(Long first, Long last, const Upsample& given, const Heads& heads,
                         const Rooms& rooms, const Fill& fill) {
     const Window& window = given.window;
@@ -144,16 +146,16 @@ FN Status upsample_rows(Long first, Long last, const Upsample& given, const Head
         const Distances down = distances_of(given.params.jitter_y - at.offset);
         fill(y, at);
         const Row row = row_of_samples(given, rooms, heads.row(at.index), y, at.index);
-        if (BY != OWN && doubles) {
+        if (SIZE != SAME_SIZE && doubles) {
             const Weights sides[2] = {
                 weights_of(down, distances_of(given.params.jitter_x + 0.25f)),
                 weights_of(down, distances_of(given.params.jitter_x - 0.25f)),
             };
-            if constexpr (BY != OWN) row_at_corners<BY>(row, sides, int(y % 2), rooms);
+            if constexpr (SIZE != SAME_SIZE) row_at_corners<BY>(row, sides, int(y % 2), rooms);
         } else if (BY != GUIDED && same) {
             const Weights weights = weights_of(down, distances_of(given.params.jitter_x));
             if constexpr (BY != GUIDED) row_at_centres<BY>(row, weights, rooms);
-        } else if constexpr (BY != OWN) {
+        } else if constexpr (SIZE != SAME_SIZE) {
             row_anywhere<BY>(row, down, lean_of(at.offset), rooms);
         }
         blend_row(rooms, given.warped(n), 1.0f / given.params.exposure, given.history(n), given.output(n));
@@ -163,10 +165,11 @@ FN Status upsample_rows(Long first, Long last, const Upsample& given, const Head
 
 // Reflectance.
 
+template <Size SIZE>
 static Status plain_rows(Long first, Long last, const Upsample& given, const Heads& heads) {
     const Rooms rooms(given.output.size[1], given.moved.size[1]);
     if (!rooms || !heads) return NO_MEMORY;
-    return upsample_rows<NONE>(first, last, given, heads, rooms, [](Long, Place) {});
+    return upsample_rows<NONE, SIZE>(first, last, given, heads, rooms, [](Long, Place) {});
 }
 
 // Radiance without reflectance and with it: the first gets the guides' as far as they are trusted.
@@ -180,7 +183,7 @@ static Status guided_rows(Long first, Long last, const Upsample& given, const Gu
     for (Long x = 0; x < rooms.width; x++) {
         rooms.place()[x] = place_of(column_of(window, x, rooms.columns), w);
     }
-    return upsample_rows<GUIDED>(first, last, given, heads, rooms, [&](Long y, Place at) {
+    return upsample_rows<GUIDED, ANY_SIZE>(first, last, given, heads, rooms, [&](Long y, Place at) {
         fill_guides(guides, y, Long(window.out_left), rooms);
         fill_trust(guides.trust, place_of(at, h), rooms.place(), rooms.width, rooms.guide(3));
     });
@@ -193,11 +196,11 @@ static Status unscaled_rows(Long first, Long last, Upsample given, const Picture
                             const Heads& heads) {
     if (given.params.jitter_x != 0 || given.params.jitter_y != 0) {
         given.radiance.at = given.radiance(3);
-        return plain_rows(first, last, given, heads);
+        return plain_rows<SAME_SIZE>(first, last, given, heads);
     }
     const Rooms rooms(given.output.size[1], given.moved.size[1]);
     if (!rooms || !heads) return NO_MEMORY;
-    return upsample_rows<OWN>(first, last, given, heads, rooms, [&](Long, Place at) {
+    return upsample_rows<OWN, SAME_SIZE>(first, last, given, heads, rooms, [&](Long, Place at) {
         fill_own(factor(at.index), rooms);
     });
 }
@@ -209,21 +212,21 @@ static Status unscaled_rows(Long first, Long last, Upsample given, const Picture
 #define GIVEN {{radiance, moved, past, *params, *window, keep}, warped, output, history}
 
 static Status plain(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, LAST) {
-    return plain_rows(first, last, GIVEN, Heads(fine));
+    return plain_rows<ANY_SIZE>(first, last, GIVEN, Heads(fine));
 }
-EXPORT(denoise_upsample, plain)
+EXPORT_ALONE(denoise_upsample, plain)
 
 static Status guided(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, Picture diffuse,
                      Picture specular, Picture trust, LAST) {
     return guided_rows(first, last, GIVEN, {diffuse, specular, trust}, Heads(fine));
 }
-EXPORT(denoise_upsample_guided, guided)
+EXPORT_ALONE(denoise_upsample_guided, guided)
 
 static Status unscaled(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, Picture factor,
                        LAST) {
     return unscaled_rows(first, last, GIVEN, factor, Heads(fine));
 }
-EXPORT(denoise_upsample_unscaled, unscaled)
+EXPORT_ALONE(denoise_upsample_unscaled, unscaled)
 
 // A picture that the network gives itself: its pixels are log-encoded, and the first control is the
 // share of each beside the history.
@@ -260,23 +263,23 @@ static Status picture(Long first, Long last, View<const float, 4> picture, FineH
     }
     return DONE;
 }
-EXPORT(denoise_blend_picture, picture)
+EXPORT_ALONE(denoise_blend_picture, picture)
 
 static Status plain_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
                           Scaling scaling, BETWEEN, LAST) {
-    return plain_rows(first, last, GIVEN, Heads(codes, factors, scaling));
+    return plain_rows<ANY_SIZE>(first, last, GIVEN, Heads(codes, factors, scaling));
 }
-EXPORT(denoise_upsample_codes, plain_codes)
+EXPORT_ALONE(denoise_upsample_codes, plain_codes)
 
 static Status guided_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
                            Scaling scaling, BETWEEN, Picture diffuse, Picture specular, Picture trust,
                            LAST) {
     return guided_rows(first, last, GIVEN, {diffuse, specular, trust}, Heads(codes, factors, scaling));
 }
-EXPORT(denoise_upsample_guided_codes, guided_codes)
+EXPORT_ALONE(denoise_upsample_guided_codes, guided_codes)
 
 static Status unscaled_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
                              Scaling scaling, BETWEEN, Picture factor, LAST) {
     return unscaled_rows(first, last, GIVEN, factor, Heads(codes, factors, scaling));
 }
-EXPORT(denoise_upsample_unscaled_codes, unscaled_codes)
+EXPORT_ALONE(denoise_upsample_unscaled_codes, unscaled_codes)

@@ -1,0 +1,329 @@
+// Pixels as files hold them: half floats, 8 bits with dither, bytes as PNG and OpenEXR compress them.
+// Products and sums are rounded apart, so that files are the same bytes on every processor.
+#include "rows.h"
+#pragma clang fp contract(off)
+
+typedef unsigned short Word16;
+typedef unsigned long long Word64;
+typedef byte WideByte __attribute__((ext_vector_type(WIDE)));
+typedef Word16 WideWord16 __attribute__((ext_vector_type(WIDE)));
+
+// Half floats.
+
+constexpr int LARGEST = 0x477FE000;  // bits in float32 of 65504, the largest half float
+constexpr int INFINITE = 0x7F800000, LEAST_NORMAL = 0x38800000, REBIAS = 0x38000000;
+constexpr int SIZE = 0x7FFFFFFF, HALF_SIZE = 0x7FFF, HALF_SIGN = 0x8000;
+constexpr int HALF_NAN = 0x7E00, HALF_INFINITE = 0x7C00, HALF_NORMAL = 0x400;
+constexpr float SUBNORMALS = 1 << 24;  // those below the least normal one are whole numbers over this
+
+FN void store_words(Word16* at, int x) { *at = Word16(x); }
+FN void store_words(Word16* at, WideInt x) {
+    const WideWord16 words = __builtin_convertvector(x, WideWord16);
+    __builtin_memcpy(at, &words, sizeof words);
+}
+template <class F> FN typename Of<F>::Int load_words(const Word16* at) {
+    if constexpr (Of<F>::COUNT == 1) {
+        return *at;
+    } else {
+        WideWord16 words;
+        __builtin_memcpy(&words, at, sizeof words);
+        return __builtin_convertvector(words, WideInt);
+    }
+}
+
+// Bits of the nearest half float, ties to even, cut to +-65504. NaN stays NaN.
+template <class F> FN typename Of<F>::Int half_of(F light) {
+    typedef typename Of<F>::Int I;
+    const I all = bits(light), size = all & SIZE, cut = size < LARGEST ? size : I(LARGEST);
+    const I normal = (cut + 0xFFF + ((cut >> 13) & 1) - REBIAS) >> 13;
+    const I small = whole(nearest_of(smaller<F>(size_of<F>(light), 1.0f) * SUBNORMALS));
+    const I half = cut >= LEAST_NORMAL ? normal : small;
+    return (size <= INFINITE ? half : I(HALF_NAN)) | ((all >> 16) & HALF_SIGN);
+}
+
+// The float that equals a half float.
+template <class F> FN F float_of(typename Of<F>::Int half) {
+    typedef typename Of<F>::Int I;
+    const I size = half & HALF_SIZE, normal = (size << 13) + REBIAS;
+    const I small = bits(F(number(size) * (1.0f / SUBNORMALS)));
+    const I finite = size >= HALF_NORMAL ? normal : small;
+    const I found = size < HALF_INFINITE ? finite : (size << 13) | INFINITE;
+    return from_bits(I(found | (half & HALF_SIGN) << 16));
+}
+
+// Pixels of some channels beside one another, as half floats of one channel after the other.
+template <int COUNT>
+FN void halve_some(Long first, Long last, const float* values, View<Word16, 2> halves) {
+    across(first, last, PIXELS(auto one, Long x) {
+        typedef decltype(one) F;
+        for (int c = 0; c < COUNT; c++) {
+            store_words(halves(c) + x, half_of<F>(pick<F, COUNT>(values + COUNT * x + c)));
+        }
+    });
+}
+static void halve_pixels(Long first, Long last, View<const float, 1> values,
+                         View<Word16, 2> halves) {
+    const Long count = halves.size[0];
+    if (count == 1) return halve_some<1>(first, last, values.at, halves);
+    if (count == 2) return halve_some<2>(first, last, values.at, halves);
+    if (count == 3) return halve_some<3>(first, last, values.at, halves);
+    if (count == 4) return halve_some<4>(first, last, values.at, halves);
+    for (Long c = 0; c < count; c++) {
+        for (Long x = first; x < last; x++) {
+            store_words(halves(c) + x, half_of<float>(values.at[count * x + c]));
+        }
+    }
+}
+EXPORT(halve_pixels, halve_pixels)
+
+enum Stored { HALVES = 1, FLOATS = 2 };  // and how many words of 16 bits a number has
+
+template <bool VALUE> struct Known {
+    static constexpr bool value = VALUE;
+};
+
+// Numbers of a channel that is stored as words of 16 bits.
+template <class F> FN F stored_at(const Word16* words, Long kind, Long x) {
+    if (kind == HALVES) return float_of<F>(load_words<F>(words + x));
+    return load<F>((const float*)(words + 2 * x));
+}
+
+// Pixels of rows of words: of each channel its kind, and the column where it begins.
+template <int COUNT, class F> FN void store_pixels(float* at, const F* numbers) {
+    if constexpr (COUNT == 1) store<F>(at, numbers[0]);
+    if constexpr (COUNT == 2) store_pairs<F>(at, numbers[0], numbers[1]);
+    if constexpr (COUNT == 3) store_triples<F>(at, numbers[0], numbers[1], numbers[2]);
+    if constexpr (COUNT == 4) spread_four<4, F>(at, numbers[0], numbers[1], numbers[2], numbers[3]);
+}
+template <int COUNT>
+FN void widen_row(const Word16* words, View<const Long, 2> channels, Long width, float* out) {
+    Long kinds[COUNT];
+    const Word16* begin[COUNT];
+    bool halves = true;
+    for (int c = 0; c < COUNT; c++) {
+        kinds[c] = *channels(c);
+        begin[c] = words + channels(c)[1];
+        halves &= kinds[c] == HALVES;
+    }
+    const auto widen = PIXELS(auto all_halves) {
+        across(0, width, PIXELS(auto one, Long x) {
+            typedef decltype(one) F;
+            F numbers[COUNT];
+            for (int c = 0; c < COUNT; c++) {
+                numbers[c] = stored_at<F>(begin[c], all_halves.value ? HALVES : kinds[c], x);
+            }
+            store_pixels<COUNT, F>(out + COUNT * x, numbers);
+        });
+    };
+    if (halves) widen(Known<true>());
+    else widen(Known<false>());
+}
+static void widen_rows(Long first, Long last, View<const Word16, 2> words,
+                       View<const Long, 2> channels, View<float, 3> pixels) {
+    const Long count = channels.size[0], width = pixels.size[1];
+    for (Long y = first; y < last; y++) {
+        float* out = pixels(y);
+        if (count == 1) widen_row<1>(words(y), channels, width, out);
+        else if (count == 2) widen_row<2>(words(y), channels, width, out);
+        else if (count == 3) widen_row<3>(words(y), channels, width, out);
+        else if (count == 4) widen_row<4>(words(y), channels, width, out);
+        for (Long c = 0; count > 4 && c < count; c++) {
+            const Word16* begin = words(y) + channels(c)[1];
+            for (Long x = 0; x < width; x++) {
+                out[count * x + c] = stored_at<float>(begin, *channels(c), x);
+            }
+        }
+    }
+}
+EXPORT(widen_rows, widen_rows)
+
+FN bool is_any(bool one) { return one; }
+FN bool is_any(WideInt some) { return __builtin_reduce_or(some) != 0; }
+
+// Values between the entries of a table, which lie evenly over codes from 0 to 1 and end with the
+// last one twice; and whether all codes lie there.
+static void look_up(Long first, Long last, View<const float, 1> codes, View<const float, 1> table,
+                    View<float, 1> values, View<bool, 1> inside) {
+    const float steps = float(table.size[0] - 2);
+    bool all = true;
+    across(first, last, PIXELS(auto one, Long x) {
+        typedef decltype(one) F;
+        const F given = load<F>(codes.at + x), code = within<F>(given, 0.0f, 1.0f);
+        const F place = code * steps;
+        const typename Of<F>::Int entry = whole(place);
+        int places[Of<F>::COUNT];
+        store_int<F>(places, entry);
+        const F low = gather<F>(table.at, places), high = gather<F>(table.at + 1, places);
+        store<F>(values.at + x, low + (place - number(entry)) * (high - low));
+        all &= !is_any(code != given);
+    });
+    *inside.at = all;
+}
+EXPORT(look_up, look_up)
+
+// 8 bits.
+
+FN void store_bytes(byte* at, int x) { *at = byte(x); }
+FN void store_bytes(byte* at, WideInt x) {
+    const WideByte bytes = __builtin_convertvector(x, WideByte);
+    __builtin_memcpy(at, &bytes, sizeof bytes);
+}
+
+// The whole part of codes times the largest byte, cut to 0..1, plus a threshold of a pattern that
+// is repeated.
+static void dither_rows(Long first, Long last, View<const float, 2> codes, Given<float> top,
+                        View<const float, 2> pattern, View<byte, 2> bytes) {
+    const Long width = codes.size[1], period = pattern.size[1];
+    const float highest = *top;
+    for (Long y = first; y < last; y++) {
+        const float* thresholds = pattern(y % pattern.size[0]);
+        for (Long start = 0; start < width; start += period) {
+            const float* some = codes(y) + start;
+            byte* out = bytes(y) + start;
+            const Long size = smaller<Long>(period, width - start);
+            const auto dither = PIXELS(auto one, Long x) {
+                typedef decltype(one) F;
+                const F code = within<F>(load<F>(some + x), 0.0f, 1.0f);
+                store_bytes(out + x, whole(F(code * highest + load<F>(thresholds + x))));
+            };
+            Long x = 0;
+            for (; x + 4 * WIDE <= size; x += 4 * WIDE) {
+                UNROLL for (int k = 0; k < 4; k++) dither(Wide(), x + k * WIDE);
+            }
+            across(x, size, dither);
+        }
+    }
+}
+EXPORT(dither_rows, dither_rows)
+
+// PNG's filter 4 (ISO/IEC 15948, 9.4) of rows, after its number; `above` is the row before.
+FN int distance(int x, int other) { return x < other ? other - x : x - other; }
+static void filter_rows(Long first, Long last, View<const byte, 2> rows, View<const byte, 1> above,
+                        View<const Long, 1> bytes_of_pixel, View<byte, 2> filtered) {
+    const Long size = rows.size[1], step = *bytes_of_pixel.at;
+    for (Long y = first; y < last; y++) {
+        const byte* __restrict row = rows(y);
+        const byte* __restrict up = y ? rows(y - 1) : above.at;
+        byte* __restrict out = filtered(y) + 1;
+        out[-1] = 4;
+        for (Long i = 0; i < step; i++) out[i] = byte(row[i] - up[i]);
+        for (Long i = step; i < size; i++) {
+            const short a = row[i - step], b = up[i], c = up[i - step];
+            const short to_left = short(distance(b, c)), to_up = short(distance(a, c));
+            const short over = short(a + b - 2 * c), to_corner = short(over < 0 ? -over : over);
+            const short nearer = to_up <= to_corner ? b : c;
+            const bool left = to_left <= to_up && to_left <= to_corner;
+            out[i] = byte(row[i] - (left ? a : nearer));
+        }
+    }
+}
+EXPORT(filter_rows, filter_rows)
+
+// Bytes as OpenEXR compresses them (ImfZip.cpp): those in even places before those in odd ones,
+// each less the one before it, plus 128.
+
+constexpr byte MIDDLE = 128;
+static void predict_bytes(Long, Long, View<const byte, 1> plain, View<byte, 1> differences) {
+    const Long half = plain.size[0] / 2;
+    const byte* __restrict from = plain.at;
+    byte* __restrict even = differences.at;
+    byte* __restrict odd = differences.at + half;
+    even[0] = from[0];
+    odd[0] = byte(from[1] - from[2 * half - 2] + MIDDLE);
+    for (Long i = 1; i < half; i++) even[i] = byte(from[2 * i] - from[2 * i - 2] + MIDDLE);
+    for (Long i = 1; i < half; i++) odd[i] = byte(from[2 * i + 1] - from[2 * i - 1] + MIDDLE);
+}
+EXPORT(predict_bytes, predict_bytes)
+
+// Back again, eight bytes in a number, of which a vector holds several. Only what comes before each
+// number is added one by one.
+
+constexpr Word64 TOPS = 0x8080808080808080, BYTES = 0x00FF00FF00FF00FF, LOW = 0xFF;
+constexpr int PIECE = 512, EIGHT = 8;  // numbers that stay in the cache, and bytes of each
+constexpr int EIGHTS = WIDE / 2;
+typedef Word64 Words __attribute__((ext_vector_type(EIGHTS)));
+
+template <class W> FN W words_at(const void* at) {
+    W x;
+    __builtin_memcpy(&x, at, sizeof x);
+    return x;
+}
+template <class W> FN void put_words(void* at, W x) { __builtin_memcpy(at, &x, sizeof x); }
+template <class Some> FN void each_eight(Long size, const Some& some) {
+    Long i = 0;
+    for (; i + EIGHTS <= size; i += EIGHTS) some(Words(), i);
+    for (; i < size; i++) some(Word64(), i);
+}
+
+// In each of four lanes of 16 bits, the sum of those before it and its own.
+template <class W> FN W sum_lanes(W x) {
+    x += x << 16;
+    return x + (x << 32);
+}
+
+// A half of the bytes of two streams, in turn.
+template <class W> using BytesOf = byte __attribute__((ext_vector_type(sizeof(W))));
+template <int FIRST, class W, int... I> FN W in_turn(W low, W high, List<int, I...>) {
+    constexpr int COUNT = sizeof(W);
+    const auto a = __builtin_bit_cast(BytesOf<W>, low), b = __builtin_bit_cast(BytesOf<W>, high);
+    return __builtin_bit_cast(W, BytesOf<W>(TWO_OF(a, b, FIRST + I / 2 + I % 2 * COUNT)));
+}
+
+// Running sums of some bytes, modulo 256.
+struct Sums {
+    Word64 odd[PIECE], less[PIECE], before[PIECE];
+    Word64 total;
+
+    // Those of odd places in lanes, with bits above; what even places are less; what comes before.
+    FN_MEMBER void add(const byte* differences, Long size) {
+        each_eight(size, PIXELS(auto one, Long i) {
+            typedef decltype(one) W;
+            const W eight = words_at<W>(differences + EIGHT * i) ^ TOPS, high = eight >> 8 & BYTES;
+            put_words<W>(less + i, high);
+            put_words<W>(odd + i, sum_lanes<W>((eight & BYTES) + high));
+        });
+        for (Long i = 0; i < size; i++) {
+            before[i] = total;
+            total += odd[i] >> 48;
+        }
+    }
+    template <class W> FN_MEMBER W at(Long i) const {
+        const W lane = words_at<W>(before + i) & LOW, two = lane | lane << 16;
+        const W sums = words_at<W>(odd + i) + (two | two << 32);
+        return ((sums - words_at<W>(less + i)) & BYTES) | (sums & BYTES) << 8;
+    }
+};
+
+static void unpredict_eights(const byte* differences, Long count, byte low, byte high, byte* out) {
+    Sums lows, highs;
+    lows.total = low;
+    highs.total = high;
+    for (Long first = 0; first < count; first += PIECE) {
+        const Long size = smaller<Long>(PIECE, count - first);
+        lows.add(differences + EIGHT * first, size);
+        highs.add(differences + EIGHT * (count + first), size);
+        each_eight(size, PIXELS(auto one, Long i) {
+            typedef decltype(one) W;
+            const W a = lows.at<W>(i), b = highs.at<W>(i);
+            const __make_integer_seq<List, int, sizeof(W)> places;
+            byte* to = out + 2 * EIGHT * (first + i);
+            put_words<W>(to, in_turn<0, W>(a, b, places));
+            put_words<W>(to + sizeof(W), in_turn<int(sizeof(W)) / 2, W>(a, b, places));
+        });
+    }
+}
+
+static void unpredict_bytes(Long, Long, View<const byte, 1> differences, View<Word16, 1> words) {
+    const Long half = words.size[0];
+    byte low = MIDDLE, high = MIDDLE;
+    for (Long i = 0; i < half; i++) high = byte(high + differences.at[i] - MIDDLE);
+    if (half % EIGHT == 0) {
+        return unpredict_eights(differences.at, half / EIGHT, low, high, (byte*)words.at);
+    }
+    for (Long i = 0; i < half; i++) {
+        low = byte(low + differences.at[i] - MIDDLE);
+        high = byte(high + differences.at[half + i] - MIDDLE);
+        words.at[i] = Word16(low | high << 8);
+    }
+}
+EXPORT(unpredict_bytes, unpredict_bytes)
