@@ -74,7 +74,7 @@ def middle_light(pictures: tuple[np.ndarray, np.ndarray]) -> np.float32:
     return np.float32(4 * math.exp(float(np.mean(np.log(np.stack(light) + np.float32(1e-3 * mean))))))
 
 
-def tone(picture: np.ndarray, level: float, margin: int) -> np.ndarray:
+def tone(picture: np.ndarray, level: float | np.floating, margin: int) -> np.ndarray:
     """Grey (h + 2 margin, w + 2 margin) of the range 0 to 1, in which differences are about as visible in the dark as
     in the light; the edges of a picture (h, w, 3) are repeated. level: light that is toned to about the middle."""
     h, w = picture.shape[:2]
