@@ -210,7 +210,7 @@ def test_a_gpu_learns_as_the_cpu_does():
 
 
 @pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
-@pytest.mark.parametrize("shared", [None, 80 << 10], ids=["much", "little"])
+@pytest.mark.parametrize("shared", [None, pytest.param(80 << 10, marks=pytest.mark.soak)], ids=["much", "little"])
 @every_network
 def test_cuda_kernels_compute_what_the_compiled_rows_do(network, shared):
     """Also with less shared memory than the parameters of wide layers need."""

@@ -29,7 +29,8 @@ def shifted(picture: np.ndarray, pixels: float) -> np.ndarray:
     return ((1 - part) * moved + part * np.roll(moved, -1, 1))[:, :picture.shape[1] // 2].astype(np.float32)
 
 
-@pytest.mark.parametrize(("model", "frames"), [("m.fp32", 120), ("s.fp32", 70)])
+@pytest.mark.parametrize(("model", "frames"), [
+    pytest.param("m.fp32", 120, marks=pytest.mark.soak), ("s.fp32", 70)])
 def test_a_slow_pan_does_not_get_worse(model: str, frames: int, shared_dir: Path) -> None:
     """History is moved often by parts of a pixel, by exact vectors. With a bias of distrust that is lower by 1, `m`
     lost 3.5 dB in 120 frames."""

@@ -77,7 +77,7 @@ def errors(frames: list[Frame], device: Device, **options) -> list[float]:
             for colour, frame in zip(outputs, frames, strict=True)]
 
 
-@pytest.fixture(scope="module", params=["s", "m"])
+@pytest.fixture(scope="module", params=["s", pytest.param("m", marks=pytest.mark.soak)])
 def steady(request: pytest.FixtureRequest, device: Device) -> tuple[str, dict[tuple[int, int], list[float]]]:
     """A model, and its PSNR of each frame where all have one size."""
     return request.param, {size: errors([panned(number, size) for number in range(COUNT)], device, model=request.param)
