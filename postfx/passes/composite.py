@@ -62,7 +62,6 @@ class Overlay(Pass):
         if not self._recorded:
             return
         with commands.compute_encoder("over") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             for role, table in self._tables.items():
                 table["overlay"], table[str(role)] = frame[Role.OVERLAY], frame[role]
                 encoder.dispatch(table.state, table)
@@ -159,8 +158,6 @@ class BothWays(Pass):
         super().encode(commands, frame)
         self._table["overlay"], self._table["colour"] = frame[Role.LATER], frame[Role.COLOUR]
         with commands.compute_encoder("mix") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
-            encoder.barrier()
             self._parts.encode(encoder, frame, frame[Role.COLOUR], self._table["output"])
         frame.set(Role.COLOUR, self._table["output"])

@@ -72,7 +72,6 @@ class Display(Pass):
         self._params.upload(parameters(self._source, self._target, frame.exposure if self._exposed else 1.0))
         self._table["colour"] = frame[Role.COLOUR]
         with commands.compute_encoder("encode") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
         frame.set(Role.COLOUR, self._output)
 
@@ -169,7 +168,6 @@ class View(Pass):
         self._params.put(np.array([frame.exposure, TOE, SCALE], np.float32))
         self._table["colour"] = frame[Role.COLOUR]
         with commands.compute_encoder("view") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
         frame.set(Role.COLOUR, self._output)
 

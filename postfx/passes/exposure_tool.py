@@ -90,7 +90,6 @@ class ExposureTool(Pass):
             return
         self._greys.upload(np.array(GREYS) / exposure)
         with commands.compute_encoder("checkerboard") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
         frame.set(Role.COLOUR, self._output)
         if Role.ALPHA in frame:
@@ -104,7 +103,6 @@ class ExposureTool(Pass):
         area[..., 3] = 1
         self._board.upload(board)
         with commands.compute_encoder("checkerboard") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             for role, table in self._tables.items():
                 table[str(role)] = frame[role]
                 encoder.dispatch(table.state, table)

@@ -81,10 +81,8 @@ class Oidn(Pass):
         for role in self._roles:
             self._colour[str(role)] = frame[role]
         with commands.compute_encoder("filters") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._colour.state, self._colour)
             if self._coverage:
-                encoder.barrier()
                 self._coverage["alpha"] = frame[Role.ALPHA]
                 encoder.dispatch(self._coverage.state, self._coverage)
         frame.set(Role.COLOUR, self._colour["output"])

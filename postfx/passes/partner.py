@@ -199,9 +199,7 @@ class MixPartner(Pass):
             if role in frame:
                 self._table[str(role)] = frame[role]
         with commands.compute_encoder("mix") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
-            encoder.barrier()
             self._parts.encode(encoder, frame, whole, self._outputs[1])
         frame.set(Role.COLOUR, self._outputs[1])
 

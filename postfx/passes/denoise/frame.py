@@ -110,7 +110,6 @@ class Assembly:
         too."""
         layered = any(name.startswith("light") for name in self._tables)
         with commands.compute_encoder("assemble") as encoder:
-            encoder.barrier(after="compute", before="compute")
             for name, table in self._tables.items():
                 rows, out = band.own if name == "output" and not layered else kept, name.startswith(OUT)
                 for binding, tensor in self._place(band, rows, out).items():
@@ -276,7 +275,6 @@ class Frames:
                 masked: bool, band: Band | None, kept: Rows, layers: Sequence[Layer]) -> None:
         self._scale["depth"] = seen["depth"]
         with commands.compute_encoder("scale") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._scale.state, self._scale)
             if self._spread:
                 self._spread["reactive"] = seen["reactive"]
@@ -386,7 +384,6 @@ class WiderPrimaries:
         table = ArgumentTable(self._device.compute_state(CONVERT_PRIMARIES), {
             "colour": colour, "matrix": self._matrices[wider], "output": self._made[name]})
         with commands.compute_encoder("primaries") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(table.state, table)
         return self._made[name]
 

@@ -140,21 +140,13 @@ class Graph:
             known |= {name: self._heads[model][name] for name in (PICTURE, CONTROLS)}
         self._bind(tables, {**self._made, **tensors, **known}, self._place(window), self._heads[model])
         with commands.compute_encoder("prepare") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             self._run(encoder, tables, "dilate", *("means",) * doubts)
-            looks = (*self._looks, *("mirrored",) * ("mirrored" in self._reads[model]))
-            for names in (("history",) * moves + ("keep",) * masked, looks):
-                encoder.barrier()
-                self._run(encoder, tables, *names)
+            self._run(encoder, tables, *("history",) * moves, *("keep",) * masked, *self._looks)
+            self._run(encoder, tables, *("mirrored",) * ("mirrored" in self._reads[model]))
         self._networks[model].encode(commands)
         with commands.compute_encoder("filter") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            for i, name in enumerate(self._order_of(end, tables)):
-                if i:
-                    encoder.barrier()
-                self._run(encoder, tables, name)
+            self._run(encoder, tables, *self._order_of(end, tables))
         with commands.compute_encoder("upsample") as encoder:
-            encoder.barrier(after="compute", before="compute")
             self._run(encoder, tables, f"upsample {end}", *(ERROR,) * (ERROR in tensors))
 
     def _order_of(self, end: str, tables: Mapping[str, ArgumentTable]) -> tuple[str, ...]:
@@ -386,12 +378,10 @@ class LayerGraph(Graph):
         end["light"] = some_of(first.stack, first.place, count) if count > 1 else alone(light)
         each = [self._share(layer, i, stacks, tensors) for i, layer in enumerate(layers)] if accumulates else []
         with commands.compute_encoder("parts") as encoder:
-            encoder.barrier(after="compute", before="compute")
             for name in ("reflectance", *self._filter_order, "remodulate") if accumulates else ():
                 for own in each if name in OWN else ({},):
                     if name != "reflectance" or "diffuse_albedo" in own:
                         self._run_with(encoder, tables[name], own)
-                encoder.barrier()
             self._run_with(encoder, end, {})
 
     def _encode_alpha(self, commands: CommandBuffer, layer: Layer, window: Window, model: str,
@@ -406,9 +396,7 @@ class LayerGraph(Graph):
         self._bind(tables, {**tensors, **layer.tensors, "fine": heads["fine"]}, self._place(window), heads)
         tables["enlarge"]["enlarged"] = tensors[f"light {layer.name}"]
         with commands.compute_encoder("alpha") as encoder:
-            for i, name in enumerate(("level", *self._alpha_order[1:], "enlarge")):
-                encoder.barrier(**{} if i else {"after": "compute", "before": "compute"})
-                self._run(encoder, tables, name)
+            self._run(encoder, tables, "level", *self._alpha_order[1:], "enlarge")
 
     def _share(self, layer: Layer, i: int, stacks: Mapping[str, Tensor],
                tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -496,16 +484,11 @@ class ClassicGraph:
             for binding in table.state.bindings:
                 if binding.name not in fixed:
                     table[binding.name] = seen[binding.name]
-        stages = [("prepare", [["dilate"], ["keep"] * masked, ["gather"]]),
-                  ("filter", [[name] for name in self._order]), ("upsample", [["resolve"]])]
-        for label, steps in stages:
+        steps = {"prepare": ["dilate", *["keep"] * masked, "gather"], "filter": self._order, "upsample": ["resolve"]}
+        for label, names in steps.items():
             with commands.compute_encoder(label) as encoder:
-                encoder.barrier(after=("compute", "machine-learning"), before="compute")
-                for k, names in enumerate(filter(None, steps)):
-                    if k:
-                        encoder.barrier()
-                    for name in names:
-                        encoder.dispatch(self._tables[name].state, self._tables[name])
+                for name in names:
+                    encoder.dispatch(self._tables[name].state, self._tables[name])
 
     def _place(self, window: Window) -> dict[str, Tensor]:
         """Tensors that describe a window to the kernels, by binding."""

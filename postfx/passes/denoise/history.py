@@ -142,7 +142,6 @@ class History:
             "state": before["state"], "last_depth": before["last_depth"], "at_rows": rows, "at_columns": columns,
             "resized": after["state"], "resized_depth": after["last_depth"]})
         with commands.compute_encoder("resize") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(table.state, table)
             if "last_reactive" in before:
                 mask = ArgumentTable(self._device.compute_state(RESAMPLE), {
@@ -261,7 +260,6 @@ class LayerHistory:
         table = ArgumentTable(self._device.compute_state(RESAMPLE), {
             "image": before, "rows": rows, "columns": columns, "output": self.last["last_part"]})
         with commands.compute_encoder("resize") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(table.state, table)
 
 
@@ -401,7 +399,6 @@ class Reflections:
         for role in NEEDS:
             self._table[role] = planes[role]
         with commands.compute_encoder("reflections") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
         return {**planes, "motion": self._output}
 

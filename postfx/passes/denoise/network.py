@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
 
 import numpy as np
@@ -161,17 +161,16 @@ class Network:
                      "factors": upload(state.device.heap, f"factors {name}", whole, "int8")}
             openers.append([_code_opener(state, heads[name], coded, name == "fine")])
             self.coded = coded if name == "fine" else self.coded
-        self._after = [[table for table in step if table] for step in zip_longest(*openers)]
+        self._after = [table for step in zip_longest(*openers) for table in step if table]
 
     def encode(self, commands: CommandBuffer) -> None:
         """Record the network's run, which waits for the kernels before it."""
         if self._before:
-            _dispatch(commands, "pack", [self._before], ("compute", "machine-learning"))
+            _dispatch(commands, "pack", self._before)
         with commands.machine_learning_encoder("network") as encoder:
-            encoder.barrier(after="compute", before="machine-learning")
             encoder.dispatch_network(self._table.state, self._table)
         if self._after:
-            _dispatch(commands, "open", self._after, ("compute", "machine-learning"))
+            _dispatch(commands, "open", self._after)
 
 
 def _packer(state: PipelineState, packed: Tensor, constants: Mapping[str, Tensor],
@@ -247,11 +246,7 @@ def codes_features(state: PipelineState) -> bool:
     return state.device.runs_rows and f"{STORED}features" in state.shapes
 
 
-def _dispatch(commands: CommandBuffer, label: str, steps: list[list[ArgumentTable]], after: tuple[str, ...]) -> None:
+def _dispatch(commands: CommandBuffer, label: str, tables: Sequence[ArgumentTable]) -> None:
     with commands.compute_encoder(label) as encoder:
-        encoder.barrier(after=after, before="compute")
-        for number, tables in enumerate(steps):
-            if number:
-                encoder.barrier()
-            for table in tables:
-                encoder.dispatch(table.state, table)
+        for table in tables:
+            encoder.dispatch(table.state, table)

@@ -224,7 +224,6 @@ class Layers:
     def _resampled(self, commands: CommandBuffer, frame: ResidentFrame, name: str) -> Tensor:
         output = self._finished(name)
         with commands.compute_encoder("plain") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             self._plain.run(encoder, self._three(name, frame), [(output, (0, self._output.height))])
         return output
 
@@ -329,7 +328,6 @@ class Layers:
             "picture": picture,
             "complete": self._complete[group.first], "balanced": some_of(balanced, group.first, count)})
         with commands.compute_encoder("balance") as encoder:
-            encoder.barrier(after="compute", before="compute")
             encoder.dispatch(table.state, table)
 
     def _stack(self, name: str) -> Tensor:
@@ -344,7 +342,6 @@ class Layers:
         table = ArgumentTable(self._device.compute_state(DECODE), {
             "filtered": filtered, "decoding": self._decodings[name], "plane": output})
         with commands.compute_encoder("decode") as encoder:
-            encoder.barrier(after="compute", before="compute")
             encoder.dispatch(table.state, table)
         return output
 
@@ -361,7 +358,6 @@ class Layers:
         table = ArgumentTable(self._device.compute_state(DECODE_ONE if channels == 1 else DECODE), {
             "filtered": value, "decoding": self._decodings[name] if is_depth else self._identity, "plane": output})
         with commands.compute_encoder("decode") as encoder:
-            encoder.barrier(after="compute", before="compute")
             encoder.dispatch(table.state, table)
         frame.parts[name] = output
 

@@ -121,7 +121,6 @@ class Planes:
         and albedo are left out."""
         if self._reduced or self._enlarged:
             with commands.compute_encoder("resample") as encoder:
-                encoder.barrier(after=("compute", "machine-learning"), before="compute")
                 for role, resampler in self._reduced.items():
                     resampler.encode(encoder, frame.guides[role], frame.guide_jitter, frame.jitter)
                 for role, resampler in self._enlarged.items():
@@ -207,7 +206,6 @@ class LargerMotion:
         """Record the work; returns the motion."""
         self._table["motion"] = motion
         with commands.compute_encoder("motion") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
         return self._table["enlarged"]
 
@@ -269,7 +267,6 @@ def _resampled(
     commands: CommandBuffer, name: str, resampler: Resampler, plane: Tensor, jitter: tuple[float, float]
 ) -> Tensor:
     with commands.compute_encoder(name) as encoder:
-        encoder.barrier(after=("compute", "machine-learning"), before="compute")
         resampler.encode(encoder, plane, jitter, CENTRED)
     return resampler.output
 
@@ -294,7 +291,6 @@ class Reactive:
         self._difference.upload([frame.exposure, self._option.scale, self._option.threshold])
         self._table["colour"], self._table["opaque_colour"] = frame[Role.COLOUR], frame[Role.OPAQUE_COLOUR]
         with commands.compute_encoder("reactive") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._table.state, self._table)
         return {"reactive": self._output}
 
@@ -336,12 +332,10 @@ class Restore:
         self._evidence.upload([min(frame.samples or MANY, MOST) / MANY])
         planes = {"colour": frame[Role.COLOUR], "denoised": denoised}
         with commands.compute_encoder("restore") as encoder:
-            encoder.barrier(after="compute", before="compute")
             for table in self._tables:
                 for name in {binding.name for binding in table.state.bindings}:
                     table[name] = self._part_of(name, planes.get(name) or self._tensors[name])
                 encoder.dispatch(table.state, table)
-                encoder.barrier()
         return self._output
 
     def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor, output: Tensor) -> Tensor:
@@ -351,7 +345,6 @@ class Restore:
         table = ArgumentTable(self._device.compute_state(RESTORE), {
             name: self._part_of(name, tensor) for name, tensor in tensors.items()})
         with commands.compute_encoder("restore") as encoder:
-            encoder.barrier(after="compute", before="compute")
             encoder.dispatch(table.state, table)
         return output
 
@@ -426,11 +419,9 @@ class Alpha:
             self._correct[name] = self._gather[name]
         self._fit["next_samples"] = self._gather["next_samples"]
         with commands.compute_encoder("gather alpha") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             encoder.dispatch(self._dilate.state, self._dilate)
             if self._find:
                 encoder.dispatch(self._find.state, self._find)
-            encoder.barrier()
             encoder.dispatch(self._gather.state, self._gather)
         return {"next_samples": self._fit["next_samples"], "near": self._near}
 
@@ -439,9 +430,7 @@ class Alpha:
         alpha."""
         self._correct["picture"] = self._fit["picture"] = picture
         with commands.compute_encoder("correct alpha") as encoder:
-            encoder.barrier(after="compute", before="compute")
             encoder.dispatch(self._fit.state, self._fit)
-            encoder.barrier()
             encoder.dispatch(self._correct.state, self._correct)
         return self._output
 
@@ -483,7 +472,6 @@ class Plain:
     def run(self, commands: CommandBuffer, colour: Tensor, parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
         """Record the work, for some rows of some tensors if `parts` are given."""
         with commands.compute_encoder("plain") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
             self._resampler.run(encoder, colour, parts)
 
 
@@ -533,13 +521,10 @@ class Strength:
         self.plain.run(commands, colour, [*((self.plain.output, some) for some in blended),
                                           *((self._output, some) for some in others)])
         with commands.compute_encoder("strength") as encoder:
-            encoder.barrier(after="compute", before="compute")
             if self._plane and strength:
                 self._plane.run(encoder, strength, [(self._strength, some) for some in blended])
-                encoder.barrier()
             if denoised is self._output:
                 self._blend(encoder, denoised, denoised, self._copy, *blended)  # with itself
-                encoder.barrier()
                 denoised = self._copy
             self._blend(encoder, self.plain.output, denoised, self._output, *blended)
 
@@ -555,9 +540,7 @@ class Strength:
         """Record the same work on a part of the picture, after the picture itself; `plain` resamples parts."""
         others = (output, (0, rows[0])), (output, (rows[1], output.shape[0]))
         with commands.compute_encoder("strength") as encoder:
-            encoder.barrier(after="compute", before="compute")
             plain.run(encoder, noisy, [(plain.output, rows), *others])
-            encoder.barrier()
             self._blend(encoder, plain.output, denoised, output, rows)
         return output
 
