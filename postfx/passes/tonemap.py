@@ -156,11 +156,13 @@ class ToneMap(Pass):
             name: device.wrap(name, values) for name, values in constants.items()}
         if self._kind:
             self._compile_network(device, network, self._kind)
+        device.make_ready(self._show)
         super().compile(device, spec)
 
     def _compile_network(self, device: Device, network: PipelineState, kind: _Kind) -> None:
         """The network's part, and what lies between the kernels around it."""
         self._network = network
+        device.make_ready(LOWRES, LIGHT, FOLLOW, kind.hold)
         self._lowres, self._made = (device.heap.transient(name, network.shapes[name]) for name in ("lowres", kind.made))
         self._light = device.heap.transient("tonemap light", LIGHT.fixed_shape("light"))
         self._pace = device.heap.tensor("tonemap pace", FOLLOW.fixed_shape("params"))

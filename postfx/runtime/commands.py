@@ -27,7 +27,7 @@ from postfx.runtime.encoders import (
     Recordings,
     Tables,
 )
-from postfx.runtime.hazards import Footprint, Hazards, predecessors, with_barriers
+from postfx.runtime.hazards import Accesses, Footprint, Hazards, predecessors, with_barriers
 from postfx.runtime.heap import Placement
 from postfx.runtime.memory import Memory
 from postfx.runtime.session import first_line
@@ -343,8 +343,7 @@ class CommandBuffer:
     def _order(self) -> None:
         """Add the barriers that commands need among themselves, before transient tensors get their memory by them."""
         if not (self.device.hazards.explicit or self._footprint):
-            footprint = self.footprint()
-            footprint.records = self.records = with_barriers(footprint)
+            self.records = with_barriers(Accesses(self.records))
 
     def _place(self) -> None:
         placement = self.device.heap.arena.place(self.records, self._kept, self._placement, self.label)

@@ -323,6 +323,11 @@ class Device:
             self._compute_states[kernel] = self._make_state(kernel)
         return self._compute_states[kernel]
 
+    def make_ready(self, *kernels: Kernel) -> None:
+        """Make kernels ready, so that their first run is no slower than later ones."""
+        for kernel in kernels:
+            self.compute_state(kernel)
+
     def host_state(self, name: str, reads: Sequence[str], writes: Sequence[str],
                    work: Callable[..., None]) -> State:
         """Work of another library among the commands: `work` gets an array of the host for each of the names that it

@@ -184,10 +184,11 @@ class Hazards:
                 raise _lost_error(need, failed)
 
     def _check_order(self, commands: RecordedCommands, footprint: Footprint) -> None:
+        footprint.ordered |= not self.explicit  # as barriers were made before memory was shared by them
         if footprint.ordered and not self._flying:
             return
         earlier = [buffer.footprint() for buffer in self._flying]
-        if earlier and not self.explicit:
+        if not self.explicit:
             footprint.records = commands.records = with_barriers(footprint, earlier)
         conflict = find_conflict(earlier, footprint)
         if conflict is not None:
@@ -242,30 +243,41 @@ class Signature(tuple[object, ...]):
         return super().__hash__()
 
 
-class Footprint:
-    """The accesses of one command buffer's records.
+class Accesses:
+    """What commands access, as far as their order is concerned.
 
     Attributes:
         records: dispatches and barriers, in order.
         dispatches: the dispatches, in order.
-        users: every allocation, with the first tensor and dispatch that use it.
-        needs: the data that must exist before the commands run, by allocation and byte range of the tensor.
-        writes: the data that exists afterwards.
         spans: the byte ranges of the dispatches' tensors, without repeats.
-        filled: whether they were committed before, so that what they need and write exists; that stays true.
-        ordered: whether a search showed that barriers order all these commands; that stays true.
+        ordered: whether it is known that barriers order all these commands; that stays true.
         narrow: whether some take fewer than all threads of their device, so that others may run beside them.
     """
 
     def __init__(self, records: Sequence[Record]) -> None:
         self.records = records
         self.dispatches = [record for record in records if isinstance(record, Dispatch)]
+        self.spans = _spans(self.dispatches)
+        self.ordered = False
+        self.narrow = any([item.state is not None and item.state.narrow for item in self.dispatches])
+
+
+class Footprint(Accesses):
+    """The accesses of one command buffer's records.
+
+    Attributes:
+        users: every allocation, with the first tensor and dispatch that use it.
+        needs: the data that must exist before the commands run, by allocation and byte range of the tensor.
+        writes: the data that exists afterwards.
+        filled: whether they were committed before, so that what they need and write exists; that stays true.
+    """
+
+    def __init__(self, records: Sequence[Record]) -> None:
+        super().__init__(records)
         self.users: dict[Allocation, tuple[Tensor, Dispatch]] = {}
         self.needs: dict[tuple[Allocation, tuple[int, int]], Need] = {}
         self.writes: dict[Allocation, Ranges] = {}
-        self.spans = _spans(self.dispatches)
-        self.filled = self.ordered = False
-        self.narrow = any([item.state is not None and item.state.narrow for item in self.dispatches])
+        self.filled = False
         for dispatch in self.dispatches:
             for tensor in dispatch.reads:
                 self.users.setdefault(tensor.allocation, (tensor, dispatch))
@@ -398,7 +410,7 @@ def _order(done: dict[str, int], barrier: ConsumerBarrier | ProducerBarrier, wai
         waits[name] |= mask
 
 
-def with_barriers(new: Footprint, earlier: Sequence[Footprint] = ()) -> list[Record]:
+def with_barriers(new: Accesses, earlier: Sequence[Accesses] = ()) -> list[Record]:
     """The records of new commands, with the barriers that what they read and write needs: among themselves, or after
     `earlier` commands if there are some. Recorded barriers stay.
 
@@ -444,7 +456,7 @@ def find_conflict(earlier: Sequence[Footprint], new: Footprint) -> Conflict | No
     return None
 
 
-def _suspects(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> list[int]:
+def _suspects(earlier: Sequence[Accesses], new: Accesses, first_new: int) -> list[int]:
     """For each new dispatch, the earlier ones that share a byte with it that one of the two writes."""
     near = _near(earlier, new, first_new)
     result = []
@@ -461,7 +473,7 @@ def _suspects(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> l
 _NOBODY = (0, 0)
 
 
-def _near(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> dict[tuple[int, int], tuple[int, int]]:
+def _near(earlier: Sequence[Accesses], new: Accesses, first_new: int) -> dict[tuple[int, int], tuple[int, int]]:
     """For each byte range of new commands, the dispatches to compare: those that write and those that use a byte."""
     spans: list[tuple[Span, bool]] = []
     shift = 0

@@ -58,6 +58,8 @@ class StateDevice(TensorDevice, Protocol):
 
     def compute_state(self, kernel: Kernel) -> State: ...
 
+    def make_ready(self, *kernels: Kernel) -> None: ...
+
 
 class State(Protocol):
     """What an argument table is made for and an encoder dispatches; `model` is a network's file, `capturable` whether
