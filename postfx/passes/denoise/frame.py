@@ -17,12 +17,10 @@ from postfx.colour import WIDER
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.colour import CONVERT_PRIMARIES
 from postfx.kernels.denoise import HIDDEN
-from postfx.kernels.denoise.history import SPREAD_MASK
 from postfx.kernels.denoise.output import ASSEMBLE
-from postfx.kernels.denoise.prepare import SCALE
 from postfx.kernels.statistics import OUTSIDE, light_outside
 from postfx.passes import ResidentFrame
-from postfx.passes.denoise.graph import Layer, Steps, WindowGraph, kernels_of, run_steps, step
+from postfx.passes.denoise.graph import FRAME, Layer, WindowGraph, kernels_of, run_steps
 from postfx.passes.denoise.history import WHOLE, History, PartHistory, Reflections, can_follow
 from postfx.passes.denoise.models import CLASSIC, blanks_volumes, grid_of, halo_of, reads_mirrored, seamless
 from postfx.passes.denoise.options import ReactiveOption, Size
@@ -164,8 +162,6 @@ def _put_together(targets: Mapping[str, Tensor]) -> tuple[str, ...]:
     return (*CHANNELS, *(name for name in targets if name.startswith(("light ", "next_part ")) or name == ERROR))
 
 
-FRAME: dict[str, Steps] = {"scale": (step(SCALE), step(SPREAD_MASK, "reactive"))}
-"""What runs once a frame, before its windows."""
 MOST_GRAPHS = 4
 """Most window sizes, beside the whole frame's, that are kept ready."""
 CLOSE = 1.15

@@ -1,7 +1,15 @@
-"""The denoiser's frame as a table: what runs for a window of it, from top to bottom, and what the steps read and write.
+"""The denoiser's frame as tables, to be read from top to bottom: which kernels run, when, and on which buffers.
 
-`WINDOW` is the picture's way through a network, `LAYERS` and `ALPHA` are that of what is filtered beside it, `CLASSIC`
-is the filter without a network. A step runs where all of its words hold, and none of those behind `unless`:
+    planes.py      brings planes and guides to the sizes that are read, makes the reactive mask; history.py finds the
+                   motion of reflections
+    FRAME          runs once a frame
+    WINDOW         takes the picture of each window through a network; or CLASSIC does, without one
+    LAYERS, ALPHA  filter what lies beside the picture in the same window
+    frame.py       puts windows together
+    planes.py      gives detail back, blends with the input by strength, corrects alpha, resamples what passes through
+    parts.py       makes light add up to the picture
+
+A step runs where all of its words hold, and none of those behind `unless`:
 
     moves      the last output is warped to this frame
     masked     each pixel keeps another share of the history
@@ -11,6 +19,7 @@ is the filter without a network. A step runs where all of its words hold, and no
     stored     the network reads features in 8 bits, which their kernel makes
     coded      the fine head is made of 8-bit codes by the kernels that read it
     error      the expected error is asked for
+    reactive   the frame has a mask of where the history is not used
     gpu        a GPU fuses some filters
     shaded     it fuses the last filter and the reflectance, too
     plain, guides, unscaled, given
@@ -37,10 +46,10 @@ from postfx.kernels import Kernel
 from postfx.kernels.denoise import FINE, IN_HALF, MIX, TRUST_CELL
 from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
 from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, STORED_FEATURE, TRUST
-from postfx.kernels.denoise.history import HISTORY, KEEP
+from postfx.kernels.denoise.history import HISTORY, KEEP, SPREAD_MASK
 from postfx.kernels.denoise.network_io import OPEN_ERROR, SOME
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, REFLECT, UPSAMPLE_LIGHT
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, means_size
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, means_size
 from postfx.kernels.denoise.pyramid import (
     ENLARGE_ALPHA,
     FILTER,
@@ -171,6 +180,8 @@ ENLARGE: Steps = (
     step(CODES_UNSCALED, "unscaled coded", radiance="radiance unscaled"),
     step(BLEND_PICTURE, "given", picture=f"head {PICTURE}", controls=f"head {CONTROLS}"),
     step(OPEN_ERROR, "error", log_error=f"head {ERROR}"))
+FRAME: dict[str, Steps] = {"scale": (step(SCALE), step(SPREAD_MASK, "reactive"))}
+"""What windows need of the whole frame, by the labels of encoders."""
 NETWORK = "network"
 SOMETIMES = frozenset({"moves", "masked", ERROR})
 """Words that hold in some frames of a window and not in others."""
