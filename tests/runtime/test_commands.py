@@ -222,7 +222,8 @@ def by_itself():
 
 def test_run_orders_kernels_and_networks_by_what_they_read_and_write(by_itself, library, ones):
     network = by_itself.pipeline_state(library, "double", {"height": 4, "width": 5})
-    x, (once, twice, total) = by_itself.wrap("x", ones.copy()), (by_itself.heap.tensor(str(i), (1, 4, 5)) for i in range(3))
+    x = by_itself.wrap("x", ones.copy())
+    once, twice, total = (by_itself.heap.tensor(str(i), (1, 4, 5)) for i in range(3))
     commands = by_itself.command_buffer("frame")
     with commands.group("pass"):
         commands.run(toys.ADD, a=x, b=x, total=once)

@@ -1,12 +1,13 @@
-"""The denoiser's frame as tables, to be read from top to bottom: which kernels run, when, and on which buffers.
+"""The denoiser's frame as tables, to be read from top to bottom: which kernels run, when, on what.
 
-    planes.py      brings planes and guides to the sizes that are read, makes the reactive mask; history.py finds the
-                   motion of reflections
+    planes.py      brings planes and guides to the sizes that are read, makes the reactive mask;
+                   history.py finds the motion of reflections
     FRAME          runs once a frame
     WINDOW         takes the picture of each window through a network; or CLASSIC does, without one
     LAYERS, ALPHA  filter what lies beside the picture in the same window
     frame.py       puts windows together
-    planes.py      gives detail back, blends with the input by strength, corrects alpha, resamples what passes through
+    planes.py      gives detail back, blends with the input by strength, corrects alpha, resamples
+                   what passes through
     parts.py       makes light add up to the picture
 
 A step runs where all of its words hold, and none of those behind `unless`:
@@ -23,8 +24,8 @@ A step runs where all of its words hold, and none of those behind `unless`:
     gpu        a GPU fuses some filters
     shaded     it fuses the last filter and the reflectance, too
     plain, guides, unscaled, given
-               what ends the window: colour is enlarged with its reflectance, or gets that of guides, or stays at the
-               render size, or the network gives the picture itself
+               what ends the window: colour is enlarged with its reflectance, or gets that of guides,
+               or stays at the render size, or the network gives the picture itself
     filtered   a layer has light of its own to filter, unlike the whole picture beside parts
     divided    a layer is divided by its own reflectance
 """
@@ -126,30 +127,36 @@ def each(kernel: Kernel, when: str, **buffers: str) -> Step:
 
 def _pool(i: int) -> Step:
     """Halves the size of light, weighted by importance."""
-    return step(POOL, unless="gpu given", finer=f"pool {i - 1}", finer_importance=f"importance {i - 1}",
-                level=f"pool {i}", importance=f"importance {i}", finer_rows=f"finer_rows {i}",
-                finer_columns=f"finer_columns {i}")
+    return step(POOL, unless="gpu given",
+                finer=f"pool {i - 1}", finer_importance=f"importance {i - 1}",
+                finer_rows=f"finer_rows {i}", finer_columns=f"finer_columns {i}",
+                level=f"pool {i}", importance=f"importance {i}")
 
 
 def _filtering(i: int) -> Steps:
     """Filters one level of the pyramid, mixed with the filtered level below it."""
     head, area = f"head level{i}" if i else "head fine", f"area {i}"
+    buffers = {"heads": head, "area": area, "filtered": f"filtered {i}"}
     if i == LEVELS:
-        return (step(FILTER, unless="given", mixed=f"pool {i}", heads=head, area=area, filtered=f"filtered {i}"),)
-    found = (
-        step(MIX_LEVELS, unless="gpu given", mixed=f"mixed {i}"),
-        step(FILTER, unless="gpu given coded" if i == 0 else "gpu given", mixed=f"mixed {i}", filtered=f"filtered {i}"),
-        step(FILTER_MIXED, "gpu", "given shaded" if i == 0 else "given", filtered=f"filtered {i}"))
-    finest = (
-        step(FILTER_CODES, "coded", "given", mixed="mixed 0", filtered="filtered 0"),
-        step(FILTER_SHADED, "gpu shaded", radiance="radiance plain"))
-    seen = {"coarse": f"filtered {i + 1}", "level": f"pool {i}", "heads": head, "area": area,
-            "coarse_rows": f"coarse_rows {i}", "coarse_columns": f"coarse_columns {i}"}
-    return tuple(one._replace(buffers={**seen, **one.buffers}) for one in (*found, *(finest if i == 0 else ())))
+        return (step(FILTER, unless="given", mixed=f"pool {i}", **buffers),)
+    buffers |= {"mixed": f"mixed {i}", "level": f"pool {i}", "coarse": f"filtered {i + 1}",
+                "coarse_rows": f"coarse_rows {i}", "coarse_columns": f"coarse_columns {i}"}
+    if i > 0:
+        return (
+            step(MIX_LEVELS, "", "gpu given", **buffers),
+            step(FILTER, "", "gpu given", **buffers),
+            step(FILTER_MIXED, "gpu", "given", **buffers))
+    return (
+        step(MIX_LEVELS, "", "gpu given", **buffers),
+        step(FILTER, "", "gpu given coded", **buffers),
+        step(FILTER_CODES, "coded", "given", **buffers),
+        step(FILTER_MIXED, "gpu", "given shaded", **buffers),
+        step(FILTER_SHADED, "gpu shaded", radiance="radiance plain", **buffers))
 
 
-_POOLS = step(POOLS, "gpu", "given", finer="pool 0", finer_importance="importance 0", level1="pool 1", level2="pool 2",
-              level3="pool 3", level4="pool 4", importance1="importance 1", importance2="importance 2",
+_POOLS = step(POOLS, "gpu", "given", finer="pool 0", finer_importance="importance 0",
+              level1="pool 1", level2="pool 2", level3="pool 3", level4="pool 4",
+              importance1="importance 1", importance2="importance 2",
               importance3="importance 3", importance4="importance 4")
 PYRAMID: Steps = (_POOLS, *map(_pool, range(1, LEVELS + 1)),
                   *(one for i in range(LEVELS, -1, -1) for one in _filtering(i)))
@@ -185,8 +192,13 @@ FRAME: dict[str, Steps] = {"scale": (step(SCALE), step(SPREAD_MASK, "reactive"))
 NETWORK = "network"
 SOMETIMES = frozenset({"moves", "masked", ERROR})
 """Words that hold in some frames of a window and not in others."""
-WINDOW: dict[str, Steps] = {"prepare": PREPARE, NETWORK: (), "filter": ACCUMULATE_AND_FILTER, "upsample": ENLARGE}
-"""The picture of a window, by the labels of encoders. In between its network runs, with what packs and opens."""
+WINDOW: dict[str, Steps] = {
+    "prepare": PREPARE,
+    NETWORK: (),
+    "filter": ACCUMULATE_AND_FILTER,
+    "upsample": ENLARGE}
+"""The picture of a window, by the labels of encoders. In between its network runs, with what packs and
+opens."""
 LAYERS: dict[str, Steps] = {"parts": (
     each(REFLECT, "filtered divided"),
     each(ACCUMULATE_PART, "filtered"),
@@ -200,8 +212,9 @@ ALPHA: dict[str, Steps] = {"alpha": (
     step(ENLARGE_ALPHA, filtered="filtered 0"))}
 CLASSIC: dict[str, Steps] = {
     "prepare": (step(DILATE), step(KEEP, "masked"), step(GATHER, light="smooth 0")),
-    "filter": tuple(step(ATROUS, light=f"smooth {k % 2}", smooth=f"smooth {1 - k % 2}", step=f"step {far}")
-                    for k, far in enumerate(STEPS)),
+    "filter": tuple(
+        step(ATROUS, light=f"smooth {k % 2}", smooth=f"smooth {1 - k % 2}", step=f"step {far}")
+        for k, far in enumerate(STEPS)),
     "upsample": (step(RESOLVE, light=f"smooth {len(STEPS) % 2}"),)}
 
 Buffers = Mapping[str, Tensor]
@@ -225,23 +238,25 @@ class Each(NamedTuple):
 ONCE = (Each(),)
 
 
-def run_steps(commands: CommandBuffer, table: Mapping[str, Steps], words: frozenset[str], buffers: Buffers,
-              half: bool = False, each: Sequence[Each] = ONCE) -> None:
-    """Record the steps of a table that run where these words hold, on these buffers; in `half` precision where a kernel
-    has that form."""
+def run_steps(commands: CommandBuffer, table: Mapping[str, Steps], words: frozenset[str],
+              buffers: Buffers, half: bool = False, each: Sequence[Each] = ONCE) -> None:
+    """Record the steps of a table that run where these words hold, on these buffers; in `half` precision
+    where a kernel has that form."""
     for label, steps in table.items():
         for one in steps:
             kernel = IN_HALF.get(one.kernel, one.kernel) if half else one.kernel
             for layer in each if one.each else ONCE:
                 held = words | layer.words
                 if one.when <= held and not one.unless & held:
-                    names = {binding: one.buffers.get(binding, binding) for binding in kernel.reads + kernel.writes}
+                    names = {binding: one.buffers.get(binding, binding)
+                             for binding in kernel.reads + kernel.writes}
                     commands.run(kernel, label, **{
                         binding: layer.buffers[name] if name in layer.buffers else buffers[name]
                         for binding, name in names.items()})
 
 
-def kernels_of(table: Mapping[str, Steps], words: frozenset[str], half: bool = False) -> list[Kernel]:
+def kernels_of(table: Mapping[str, Steps], words: frozenset[str],
+               half: bool = False) -> list[Kernel]:
     """The kernels that may run where no more than these words hold."""
     found = [one.kernel for steps in table.values() for one in steps
              if one.when <= words and not one.unless & words - SOMETIMES]
@@ -278,33 +293,39 @@ class Layer:
 class WindowGraph:
     """The networks, and the buffers of the tables' steps, for windows of one size.
 
-    A guided one's models also read guides. A reactive one can use masks of how much history counts. Models that doubt
-    planes also read their mean. Where layers are filtered, too, the `whole` fine head is kept for them.
+    A guided one's models also read guides. A reactive one can use masks of how much history counts.
+    Models that doubt planes also read their mean. Where layers are filtered, too, the `whole` fine head is
+    kept for them.
     """
 
     def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
                  reactive: bool = False, whole: bool = False) -> None:
         self._device, self._window, self._guided = device, window, guided
         dims = free_dimensions(window.padded_size)
-        states = {model: load_network(device, model, dims) for model in models if model != CLASSIC_MODEL}
+        states = {model: load_network(device, model, dims) for model in models
+                  if model != CLASSIC_MODEL}
         for state in states.values():
             check_bindings(state)
-        self._forms = {model: HALF if is_half(state) else CODED if state.products and not whole else WHOLE
-                       for model, state in states.items()}
+        self._forms = {
+            model: HALF if is_half(state) else CODED if state.products and not whole else WHOLE
+            for model, state in states.items()}
         self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
         between = cache(self._new)  # of several networks only one runs in a frame
-        self._heads = {model: self._heads_of(state, self._forms[model], between) for model, state in states.items()}
+        self._heads = {model: self._heads_of(state, self._forms[model], between)
+                       for model, state in states.items()}
         self._doubting = {model for model in states if doubts_planes(model)}
         self._ends = {model: self._end_of(model) for model in states}
         self._made = self._classic_buffers() if CLASSIC_MODEL in models else {}
         self._made |= self._common_buffers(reactive)
         seen = {name: shape for state in states.values() for name, shape in seen_by(state).items()}
         read = {name: self._new(name, shape) for name, shape in seen.items()}
-        read |= {name: between(name, state.shapes[name], "float16") for model, state in states.items()
-                 for name in IN_HALF[FEATURE].writes if self._forms[model] == HALF and name in state.shapes}
+        read |= {name: between(name, state.shapes[name], "float16")
+                 for model, state in states.items() if self._forms[model] == HALF
+                 for name in IN_HALF[FEATURE].writes if name in state.shapes}
         if states:
             self._made |= read | self._pyramid_buffers(self._new("level 0", (4, *window.level(0))))
-        self._networks = {model: Network(state, read, self._heads[model], between) for model, state in states.items()}
+        self._networks = {model: Network(state, read, self._heads[model], between)
+                          for model, state in states.items()}
         self._words = {model: self._words_of(model, state) for model, state in states.items()}
         may = SOMETIMES - (frozenset() if reactive else {"masked"})
         for model, words in self._words.items():
@@ -314,8 +335,8 @@ class WindowGraph:
             device.make_ready(*kernels_of(CLASSIC, may))
         self._layer_buffers: dict[int, dict[str, Tensor]] = {}
 
-    def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Buffers, moves: bool, masked: bool,
-               layers: Sequence[Layer] = ()) -> None:
+    def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Buffers,
+               moves: bool, masked: bool, layers: Sequence[Layer] = ()) -> None:
         """Record the work on a window of this graph's size.
 
         Args:
@@ -329,24 +350,26 @@ class WindowGraph:
 
         The expected error is written where `tensors` has a place for it.
         """
-        words = frozenset(word for word, holds in (("moves", moves), ("masked", masked), (ERROR, ERROR in tensors))
-                          if holds)
+        now = {"moves": moves, "masked": masked, ERROR: ERROR in tensors}
+        words = frozenset(word for word, holds in now.items() if holds)
         own = {"keep": self._made["keep"] if masked else tensors["keep"]}
         if model == CLASSIC_MODEL:
-            run_steps(commands, CLASSIC, words, ChainMap(own, self._place(window), dict(tensors), self._made))
+            buffers = ChainMap(own, self._place(window), dict(tensors), self._made)
+            run_steps(commands, CLASSIC, words, buffers)
             return
         network, heads = self._networks[model], self._heads[model]
-        own |= {"warped": self._made["warped"] if moves else tensors["history"], "fine": heads["fine"],
-                "means": self._made["means"] if model in self._doubting else self._made["no means"],
-                **network.coded, **network.stored, **{f"head {name}": head for name, head in heads.items()}}
+        own |= {"warped": self._made["warped"] if moves else tensors["history"],
+                "means": self._made["means" if model in self._doubting else "no means"],
+                "fine": heads["fine"], **{f"head {name}": head for name, head in heads.items()},
+                **network.coded, **network.stored}
         buffers = ChainMap(own, self._place(window), dict(tensors), self._made)
         words, half = words | self._words[model], self._forms[model] == HALF
         for label, steps in WINDOW.items():
             if label == NETWORK:
                 network.encode(commands)
             run_steps(commands, {label: steps}, words, buffers, half)
-        for some in _together(layers, TOGETHER if window == Window.whole(window.frame) and not self._device.scratch
-                              else 1):
+        at_once = window == Window.whole(window.frame) and not self._device.scratch
+        for some in _together(layers, TOGETHER if at_once else 1):
             self._encode_layers(commands, some, model, buffers, half)
 
     def _encode_layers(self, commands: CommandBuffer, layers: Sequence[Layer], model: str,
@@ -360,12 +383,16 @@ class WindowGraph:
             return
         own = dict(self._layers_of(len(layers), 3))
         filtered, light = "part" in first.tensors, buffers[f"light {first.name}"]
-        each = [self._share(layer, i, own, buffers) for i, layer in enumerate(layers)] if filtered else ()
-        own |= {"last": some_of(first.last, first.place, len(layers)),
-                "light": some_of(first.stack, first.place, len(layers)) if len(layers) > 1 else alone(light)}
-        if not filtered:
+        shares = [self._share(layer, i, own, buffers) for i, layer in enumerate(layers) if filtered]
+        own["last"] = some_of(first.last, first.place, len(layers))
+        own["light"] = alone(light)
+        if len(layers) > 1:
+            own["light"] = some_of(first.stack, first.place, len(layers))
+        if filtered:
+            words |= {"filtered"}
+        else:
             own["radiance"] = self._shaded(model)
-        run_steps(commands, LAYERS, words | {"filtered"} if filtered else words, seen.new_child(own), half, each)
+        run_steps(commands, LAYERS, words, seen.new_child(own), half, shares)
 
     def _share(self, layer: Layer, i: int, stacks: Buffers, buffers: Buffers) -> Each:
         """What kernels of one layer read and write, the `i`-th of some."""
@@ -458,8 +485,9 @@ class WindowGraph:
 
     def _classic_buffers(self) -> dict[str, Tensor]:
         rows, columns = self._window.rows, self._window.columns
-        far = {f"step {step}": upload(self._device.heap, "step", np.full(1, step, np.float32)) for step in STEPS}
-        return {"surface": self._new("surface", (6, rows, columns)), **far,
+        distances = {f"step {far}": upload(self._device.heap, "step", np.full(1, far, np.float32))
+                     for far in STEPS}
+        return {"surface": self._new("surface", (6, rows, columns)), **distances,
                 **{f"smooth {k}": self._new(f"light {k}", (4, rows, columns)) for k in range(2)}}
 
     @cached_property
