@@ -236,23 +236,23 @@ class Misbehaving(toys.Sum):
             frame.set(Role.COLOUR, colour.view("part", (1, 1, 3)))
         elif self.fault == "drop":
             del frame.tensors[Role.COLOUR]
-        elif self.fault == "barrier":
-            self._unordered(commands, frame)
+        elif self.fault == "hazard":
+            self._read_nothing(commands, frame)
         elif self.fault:
             raise self.fault
 
-    def _unordered(self, commands, frame):
+    def _read_nothing(self, commands, frame):
         from postfx.runtime import ArgumentTable
 
-        total, other = frame[Role.COLOUR], self._sums[1]
-        with commands.compute_encoder("unordered") as encoder:
-            encoder.dispatch(self._state, ArgumentTable(self._state, {"a": total, "b": total, "total": other}))
+        total, nothing = frame[Role.COLOUR], commands.device.heap.tensor("nothing", frame[Role.COLOUR].shape)
+        with commands.compute_encoder("unwritten") as encoder:
+            encoder.dispatch(self._state, ArgumentTable(self._state, {"a": nothing, "b": nothing, "total": total}))
 
 
 @pytest.mark.parametrize(("fault", "error", "message"), [
     ("size", PassContractError, "pass 'misbehaving' did not leave plane 'colour' as its reflection declares"),
     ("drop", PassContractError, "did not leave plane 'colour'"),
-    ("barrier", HazardError, "'misbehaving/unordered'"),
+    ("hazard", HazardError, "'misbehaving/unwritten'"),
     (RuntimeError("out of ideas"), RuntimeError, "out of ideas"),
     (KeyboardInterrupt("stop"), KeyboardInterrupt, "stop"),
 ])

@@ -14,7 +14,7 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise.parts import BALANCE
 from postfx.kernels.image import OVER, OVER_ALPHA
 from postfx.passes import Pass, Reflection, ResidentFrame
-from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
+from postfx.runtime import CommandBuffer, Device, Tensor
 
 LATEST = 64
 """How many of the last frames' times count."""
@@ -48,9 +48,11 @@ class Overlay(Pass):
         return "the overlay has the output's size, and nothing enlarges the colour" if larger else "there is no overlay"
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        self._tables = {Role.COLOUR: self._table(device, spec, Role.COLOUR)}
-        if spec.has(Role.ALPHA):
-            self._tables[Role.ALPHA] = self._table(device, spec, Role.ALPHA)
+        self._over = {Role.COLOUR: OVER} | ({Role.ALPHA: OVER_ALPHA} if spec.has(Role.ALPHA) else {})
+        self._outputs = {role: device.heap.transient(f"{role} under the overlay",
+                                                     (spec.height, spec.width, spec.channels(role)))
+                         for role in self._over}
+        device.make_ready(*self._over.values())
         self._blank, self._recorded = 0, False
         self._times: list[float] = []
         super().compile(device, spec)
@@ -61,12 +63,10 @@ class Overlay(Pass):
         self._blank += not self._recorded
         if not self._recorded:
             return
-        with commands.compute_encoder("over") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            for role, table in self._tables.items():
-                table["overlay"], table[str(role)] = frame[Role.OVERLAY], frame[role]
-                encoder.dispatch(table.state, table)
-                frame.set(role, table["output"])
+        for role, kernel in self._over.items():
+            planes = {"overlay": frame[Role.OVERLAY], str(role): frame[role], "output": self._outputs[role]}
+            commands.run(kernel, "over", **planes)
+            frame.set(role, self._outputs[role])
 
     def note_time(self, milliseconds: float) -> None:
         if self._recorded:
@@ -78,10 +78,6 @@ class Overlay(Pass):
         saved = f"which takes {median(self._times):.1f} ms a frame" if self._times else "time not measured yet"
         return ((f"compositing for {self._blank} frame{'s' * (self._blank > 1)}", f"the overlay is 0 there; {saved}"),)
 
-    def _table(self, device: Device, spec: FrameSpec, role: Role) -> ArgumentTable:
-        output = device.heap.transient(f"{role} under the overlay", (spec.height, spec.width, spec.channels(role)))
-        return ArgumentTable(device.compute_state(OVER if role is Role.COLOUR else OVER_ALPHA), {"output": output})
-
 
 class PartShares:
     """Brings parts of a picture to one that took its place: each gets the same share of it as before, so that light
@@ -90,7 +86,7 @@ class PartShares:
     def __init__(self, parts: Sequence[Part | str]) -> None:
         self._lights = [part if isinstance(part, str) else part.name for part in parts
                         if isinstance(part, str) or part.is_light]
-        self._tables: dict[str, ArgumentTable] = {}
+        self._balanced: dict[str, Tensor] = {}
 
     def read_of(self, spec: FrameSpec) -> tuple[str, ...]:
         """Names of the parts that are read of frames of a spec."""
@@ -98,27 +94,25 @@ class PartShares:
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         """Get ready for frames of a spec."""
-        self._tables = {}
+        self._balanced = {name: device.heap.transient(f"{name} of the mixture", (1, spec.height, spec.width, 3))
+                          for name in self._lights}
         if not self._lights:
             return
-        none, everywhere = device.heap.tensor("not all of it", (1,)), device.heap.tensor("everywhere", (1, 1, 1))
-        none.fill(0)
-        everywhere.fill(1)
-        for name in self._lights:
-            balanced = device.heap.transient(f"{name} of the mixture", (1, spec.height, spec.width, 3))
-            self._tables[name] = ArgumentTable(device.compute_state(BALANCE), {
-                "complete": none, "reached": everywhere, "balanced": balanced})
+        self._none, self._everywhere = (device.heap.tensor(name, shape) for name, shape in (
+            ("not all of it", (1,)), ("everywhere", (1, 1, 1))))
+        self._none.fill(0)
+        self._everywhere.fill(1)
+        device.make_ready(BALANCE)
 
-    def encode(self, encoder: ComputeEncoder, frame: ResidentFrame, before: Tensor, after: Tensor) -> None:
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, before: Tensor, after: Tensor) -> None:
         """Record the work, once the picture `after` is there, which takes the place of the one `before`."""
-        for name, table in self._tables.items():
+        for name, balanced in self._balanced.items():
             part = frame.parts.get(name)
             if part is None or part.shape[2] != 3:
                 continue
-            table["parts"], table["whole"] = part.view(name, (1, *part.shape), 0), before
-            table["picture"] = after
-            encoder.dispatch(table.state, table)
-            frame.parts[name] = table["balanced"].view(name, part.shape, 0)
+            commands.run(BALANCE, "mix", parts=part.view(name, (1, *part.shape), 0), whole=before, picture=after,
+                         complete=self._none, reached=self._everywhere, balanced=balanced)
+            frame.parts[name] = balanced.view(name, part.shape, 0)
 
 
 class BothWays(Pass):
@@ -149,18 +143,14 @@ class BothWays(Pass):
         return None if spec.has(Role.LATER) else "later frames were not processed"
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        output = device.heap.transient("colour of both directions", (spec.height, spec.width, 3))
-        self._table = ArgumentTable(device.compute_state(OVER), {"output": output})
+        self._output = device.heap.transient("colour of both directions", (spec.height, spec.width, 3))
+        device.make_ready(OVER)
         self._parts = PartShares(self.options["parts"])  # not in common with copies, which other views get
         self._parts.compile(device, spec)
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._table["overlay"], self._table["colour"] = frame[Role.LATER], frame[Role.COLOUR]
-        with commands.compute_encoder("mix") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._table.state, self._table)
-            encoder.barrier()
-            self._parts.encode(encoder, frame, frame[Role.COLOUR], self._table["output"])
-        frame.set(Role.COLOUR, self._table["output"])
+        commands.run(OVER, "mix", overlay=frame[Role.LATER], colour=frame[Role.COLOUR], output=self._output)
+        self._parts.encode(commands, frame, frame[Role.COLOUR], self._output)
+        frame.set(Role.COLOUR, self._output)

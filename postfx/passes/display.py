@@ -18,7 +18,7 @@ from postfx.kernels.numeric import BRIGHTEST
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.registry import create
 from postfx.plan import Skip
-from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library
+from postfx.runtime import CommandBuffer, Device, Library
 
 ROWS = 32
 """Rows of a picture that one thread shows at a time."""
@@ -59,21 +59,19 @@ class Display(Pass):
         source = _source(spec, self._target)
         self._params = device.heap.tensor("display params", (12,))
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
-        tensors = {"params": self._params, "output": self._output}
+        self._curves = {}
         for name, values in (("decode", decoding(source)), ("encode", encoding(self._target))):
-            tensors[name] = device.heap.tensor(f"display {name}", values.shape)
-            tensors[name].upload(values)
-        self._table = ArgumentTable(device.compute_state(ENCODE_DISPLAY), tensors)
+            self._curves[name] = device.heap.tensor(f"display {name}", values.shape)
+            self._curves[name].upload(values)
+        device.make_ready(ENCODE_DISPLAY)
         self._exposed, self._source = spec.encoding == "scene-linear", source
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         self._params.upload(parameters(self._source, self._target, frame.exposure if self._exposed else 1.0))
-        self._table["colour"] = frame[Role.COLOUR]
-        with commands.compute_encoder("encode") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._table.state, self._table)
+        commands.run(ENCODE_DISPLAY, "encode", colour=frame[Role.COLOUR], params=self._params, output=self._output,
+                     **self._curves)
         frame.set(Role.COLOUR, self._output)
 
 
@@ -150,27 +148,24 @@ class View(Pass):
     def compile(self, device: Device, spec: FrameSpec) -> None:
         self._params = device.heap.tensor("view params", (3,))
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
-        tensors = {"params": self._params, "output": self._output}
+        self._cube = {}
         if self._exact:
             self._threads = device.threads
-            state = device.host_state("view", ("colour", "params"), ("output",), self._show)
+            self._state = device.host_state("view", ("colour", "params"), ("output",), self._show)
         else:
             kernel, values = form_of(bake(self._view), device.gpu is not None)
-            tensors |= {"matrix": device.heap.tensor("view matrix", (9,)),
-                        "cube": device.heap.tensor("cube", values.shape)}
-            tensors["matrix"].upload(self._matrix().ravel())
-            tensors["cube"].upload(values)
-            state = device.compute_state(kernel)
-        self._table = ArgumentTable(state, tensors)
+            self._cube = {"matrix": device.heap.tensor("view matrix", (9,)),
+                          "cube": device.heap.tensor("cube", values.shape)}
+            self._cube["matrix"].upload(self._matrix().ravel())
+            self._cube["cube"].upload(values)
+            self._state = device.compute_state(kernel)
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         self._params.put(np.array([frame.exposure, TOE, SCALE], np.float32))
-        self._table["colour"] = frame[Role.COLOUR]
-        with commands.compute_encoder("view") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._table.state, self._table)
+        commands.run(self._state, "view", colour=frame[Role.COLOUR], params=self._params, output=self._output,
+                     **self._cube)
         frame.set(Role.COLOUR, self._output)
 
     def _matrix(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from postfx.exposure import KEY
 from postfx.frame import FrameSpec, Role
 from postfx.kernels.image import CHECKERBOARD, OVER, OVER_ALPHA, turns
 from postfx.passes import Pass, Reflection, ResidentFrame
-from postfx.runtime import ArgumentTable, CommandBuffer, Device
+from postfx.runtime import CommandBuffer, Device
 
 VARIABLE = "POSTFX_EXPOSURE_TOOL"
 CELLS = 9
@@ -63,11 +63,11 @@ class ExposureTool(Pass):
     def _compile_whole(self, device: Device, spec: FrameSpec) -> None:
         self._greys = device.heap.tensor("greys", (2,))
         self._output = device.heap.transient("checkerboard", (spec.height, spec.width, 3))
-        tensors = {"greys": self._greys, "output": self._output}
+        self._cells = {}
         for name, values in zip(("rows", "columns"), cells(spec.height, spec.width), strict=True):
-            tensors[name] = device.heap.tensor(f"checkerboard {name}", values.shape)
-            tensors[name].upload(values)
-        self._table = ArgumentTable(device.compute_state(CHECKERBOARD), tensors)
+            self._cells[name] = device.heap.tensor(f"checkerboard {name}", values.shape)
+            self._cells[name].upload(values)
+        device.make_ready(CHECKERBOARD)
         if spec.has(Role.ALPHA):
             self._opaque = device.heap.tensor("opaque", (spec.height, spec.width, 1))
             self._opaque.fill(1)
@@ -75,11 +75,10 @@ class ExposureTool(Pass):
     def _compile_part(self, device: Device, spec: FrameSpec) -> None:
         size = spec.height, spec.width
         self._board = device.heap.tensor("checkerboard", (*size, 4))
-        kernels = {Role.COLOUR: OVER} | ({Role.ALPHA: OVER_ALPHA} if spec.has(Role.ALPHA) else {})
-        self._tables = {}
-        for role, kernel in kernels.items():
-            output = device.heap.transient(f"{role} under the board", (*size, spec.channels(role)))
-            self._tables[role] = ArgumentTable(device.compute_state(kernel), {"overlay": self._board, "output": output})
+        self._over = {Role.COLOUR: OVER} | ({Role.ALPHA: OVER_ALPHA} if spec.has(Role.ALPHA) else {})
+        self._outputs = {role: device.heap.transient(f"{role} under the board", (*size, spec.channels(role)))
+                         for role in self._over}
+        device.make_ready(*self._over.values())
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
@@ -89,9 +88,7 @@ class ExposureTool(Pass):
             self._encode_part(commands, frame, exposure)
             return
         self._greys.upload(np.array(GREYS) / exposure)
-        with commands.compute_encoder("checkerboard") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._table.state, self._table)
+        commands.run(CHECKERBOARD, "checkerboard", greys=self._greys, output=self._output, **self._cells)
         frame.set(Role.COLOUR, self._output)
         if Role.ALPHA in frame:
             frame.set(Role.ALPHA, self._opaque)
@@ -103,12 +100,10 @@ class ExposureTool(Pass):
         area[..., :3] = np.where(rows[:, None] == columns[None, :], *GREYS)[..., None] / exposure
         area[..., 3] = 1
         self._board.upload(board)
-        with commands.compute_encoder("checkerboard") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            for role, table in self._tables.items():
-                table[str(role)] = frame[role]
-                encoder.dispatch(table.state, table)
-                frame.set(role, table["output"])
+        for role, kernel in self._over.items():
+            planes = {str(role): frame[role], "overlay": self._board, "output": self._outputs[role]}
+            commands.run(kernel, "checkerboard", **planes)
+            frame.set(role, self._outputs[role])
 
 
 def board_area(height: int, width: int, part: bool) -> tuple[slice, slice]:

@@ -12,7 +12,7 @@ from postfx.errors import PassOptionError
 from postfx.frame import FrameSpec, Role
 from postfx.oidn import QUALITIES, OpenImageDenoise, total_albedo
 from postfx.passes import Pass, Reflection, ResidentFrame
-from postfx.runtime import ArgumentTable, CommandBuffer, Device
+from postfx.runtime import CommandBuffer, Device
 
 ALBEDOS = (Role.DENOISING_ALBEDO, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 NORMALS = (Role.DENOISING_NORMAL, Role.NORMAL)
@@ -68,28 +68,19 @@ class Oidn(Pass):
         self._roles = tuple(role for role in taken if spec.has(role))
         names = tuple(map(str, self._roles))
         size = spec.height, spec.width
-        self._colour = ArgumentTable(device.host_state("oidn", names, ("output",), self._denoise_colour),
-                                     {"output": device.heap.transient("colour by oidn", (*size, 3))})
-        self._coverage: ArgumentTable | None = None
-        if self._denoises_alpha(spec):
-            state = device.host_state("oidn alpha", ("alpha",), ("output",), self._denoise_alpha_plane)
-            self._coverage = ArgumentTable(state, {"output": device.heap.transient("alpha by oidn", (*size, 1))})
+        self._colour = device.host_state("oidn", names, ("output",), self._denoise_colour)
+        self._output = device.heap.transient("colour by oidn", (*size, 3))
+        self._coverage = device.host_state("oidn alpha", ("alpha",), ("output",), self._denoise_alpha_plane)
+        self._covered = device.heap.transient("alpha by oidn", (*size, 1)) if self._denoises_alpha(spec) else None
         super().compile(device, spec)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        for role in self._roles:
-            self._colour[str(role)] = frame[role]
-        with commands.compute_encoder("filters") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._colour.state, self._colour)
-            if self._coverage:
-                encoder.barrier()
-                self._coverage["alpha"] = frame[Role.ALPHA]
-                encoder.dispatch(self._coverage.state, self._coverage)
-        frame.set(Role.COLOUR, self._colour["output"])
-        if self._coverage:
-            frame.set(Role.ALPHA, self._coverage["output"])
+        commands.run(self._colour, "filters", output=self._output, **{str(role): frame[role] for role in self._roles})
+        frame.set(Role.COLOUR, self._output)
+        if self._covered:
+            commands.run(self._coverage, "filters", alpha=frame[Role.ALPHA], output=self._covered)
+            frame.set(Role.ALPHA, self._covered)
 
     def _denoise_colour(self, colour: np.ndarray, *others: np.ndarray) -> None:
         *planes, output = others

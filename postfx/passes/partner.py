@@ -19,7 +19,7 @@ from postfx.kernels.partner import MIX_PARTNER
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.composite import PartShares
 from postfx.passes.registry import BUILT_IN, make_asked, parse_pass, plug_ins
-from postfx.runtime import ArgumentTable, CommandBuffer, Device
+from postfx.runtime import CommandBuffer, Device
 
 LASTING = 0.3
 """How much the partner counts in the mean of logarithms at the render's size, however long the history is."""
@@ -175,10 +175,9 @@ class MixPartner(Pass):
             output.fill(0)
         self._settings = device.heap.tensor("settings of the mixture", (4,))
         self._weight = device.heap.tensor("weight of the partner", (1, 1, 1))
-        everywhere = device.wrap("strength of the mixture", np.ones((1, 1, 1), np.float32))
-        still = device.wrap("no motion", np.zeros((1, 1, 2), np.float32))
-        self._table = ArgumentTable(device.compute_state(MIX_PARTNER), {
-            "settings": self._settings, "weight": self._weight, "strength": everywhere, "motion": still})
+        self._absent = {Role.STRENGTH: device.wrap("strength of the mixture", np.ones((1, 1, 1), np.float32)),
+                        Role.MOTION: device.wrap("no motion", np.zeros((1, 1, 2), np.float32))}
+        device.make_ready(MIX_PARTNER)
         self._parts = PartShares(self.options["parts"])  # not in common with copies, which other views get
         self._parts.compile(device, spec)
         super().compile(device, spec)
@@ -193,16 +192,11 @@ class MixPartner(Pass):
         weight = partner_weight(seen + self._more, self._scale)
         self._weight.put(np.full((1, 1, 1), weight, np.float32))
         whole = frame[Role.COLOUR]
-        self._table["colour"], self._table["partner"] = whole, frame[Role.PARTNER]
-        self._table["history"], self._table["output"] = self._outputs
-        for role in FOLLOWED:
-            if role in frame:
-                self._table[str(role)] = frame[role]
-        with commands.compute_encoder("mix") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._table.state, self._table)
-            encoder.barrier()
-            self._parts.encode(encoder, frame, whole, self._outputs[1])
+        history, output = self._outputs
+        commands.run(MIX_PARTNER, "mix", colour=whole, partner=frame[Role.PARTNER], history=history, output=output,
+                     settings=self._settings, weight=self._weight,
+                     **{str(role): frame[role] if role in frame else self._absent[role] for role in FOLLOWED})
+        self._parts.encode(commands, frame, whole, output)
         frame.set(Role.COLOUR, self._outputs[1])
 
     def reset(self) -> None:

@@ -31,10 +31,6 @@ from postfx.system import in_bands
 
 # What they share -----------------------------------------------------------------------------------
 
-ALL = ("compute", "machine-learning")
-"""Stages that commands wait for, and that wait for them."""
-
-
 class _Linear(Pass):
     """A pass that needs light of the scene."""
 
@@ -48,15 +44,11 @@ class _Linear(Pass):
         raise NotImplementedError
 
     def _dispatch(self, commands: CommandBuffer, label: str, table: ArgumentTable) -> None:
-        """Record a command after all before it."""
-        network = isinstance(table.state, PipelineState)
-        if network:
+        if isinstance(table.state, PipelineState):
             with commands.machine_learning_encoder(label) as encoder:
-                encoder.barrier(after=ALL, before=ALL)
                 encoder.dispatch_network(table.state, table)
             return
         with commands.compute_encoder(label) as kernels:
-            kernels.barrier(after=ALL, before=ALL)
             kernels.dispatch(table.state, table)
 
 

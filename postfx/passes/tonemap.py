@@ -16,7 +16,7 @@ from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, form_of
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.passes import Pass, Reflection, ResidentFrame
-from postfx.runtime import ArgumentTable, CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
+from postfx.runtime import CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
 
 _KEEP, _FOLLOW = 0.6, 0.6  # where a look's card says nothing
 _MOST = 1e6  # so that no sum of a few products overflows
@@ -148,37 +148,29 @@ class ToneMap(Pass):
         self._params, matrix = device.heap.tensor("tonemap params", (3,)), device.heap.tensor("tonemap matrix", (9,))
         matrix.upload(self._shaper.matrix)
         self._output = device.heap.transient("display colour", (spec.height, spec.width, 3))
-        common = {"params": self._params, "matrix": matrix, "output": self._output}
-        show, constants = self._kind.show if self._kind else APPLY_CUBE, dict(network.constants)
-        if show is APPLY_CUBE:
-            show, constants["cube"] = form_of(constants["cube"], device.gpu is not None)
-        common |= {name: device.wrap(name, values) for name, values in constants.items()}
-        self._tables = {"show": ArgumentTable(device.compute_state(show), common)}
+        self._show, constants = self._kind.show if self._kind else APPLY_CUBE, dict(network.constants)
+        if self._show is APPLY_CUBE:
+            self._show, constants["cube"] = form_of(constants["cube"], device.gpu is not None)
+        self._shaping = {"params": self._params, "matrix": matrix}
+        self._shown = self._shaping | {"output": self._output} | {
+            name: device.wrap(name, values) for name, values in constants.items()}
         if self._kind:
-            self._compile_network(device, network, common, self._kind)
+            self._compile_network(device, network, self._kind)
+        device.make_ready(self._show)
         super().compile(device, spec)
 
-    def _compile_network(self, device: Device, network: PipelineState, common: Mapping[str, Tensor],
-                         kind: _Kind) -> None:
-        """The network's part, and the kernels around it."""
-        shapes = network.shapes
-        shaping = {name: common[name] for name in ("params", "matrix")}
-        lowres, made = (device.heap.transient(name, shapes[name]) for name in ("lowres", kind.made))
-        holding = {"current": made} | {name: common[name] for name in kind.hold.reads if name in common}
-        light = device.heap.transient("tonemap light", LIGHT.fixed_shape("light"))
+    def _compile_network(self, device: Device, network: PipelineState, kind: _Kind) -> None:
+        """The network's part, and what lies between the kernels around it."""
+        self._network = network
+        device.make_ready(LOWRES, LIGHT, FOLLOW, kind.hold)
+        self._lowres, self._made = (device.heap.transient(name, network.shapes[name]) for name in ("lowres", kind.made))
+        self._light = device.heap.transient("tonemap light", LIGHT.fixed_shape("light"))
         self._pace = device.heap.tensor("tonemap pace", FOLLOW.fixed_shape("params"))
         self._history = [_History(device.heap.tensor("held", kind.hold.fixed_shape("result")),
                                   device.heap.tensor("light followed", FOLLOW.fixed_shape("after")))
                          for _ in range(2)]
         for tensor in (*self._history[0], *self._history[1]):
             tensor.fill(0)
-        self._tables |= {
-            "lowres": ArgumentTable(device.compute_state(LOWRES), {**shaping, "lowres": lowres}),
-            "network": ArgumentTable(network, {"lowres": lowres, kind.made: made}),
-            "light": ArgumentTable(device.compute_state(LIGHT), {"lowres": lowres, "light": light}),
-            "follow": ArgumentTable(device.compute_state(FOLLOW), {"light": light, "params": self._pace}),
-            "hold": ArgumentTable(device.compute_state(kind.hold), holding),
-        }
 
     def reset(self) -> None:
         self._fresh = False
@@ -208,34 +200,16 @@ class ToneMap(Pass):
         frame.set(Role.COLOUR, self._output)
 
     def _encode_cube(self, commands: CommandBuffer, colour: Tensor) -> None:
-        self._tables["show"]["colour"] = colour
-        with commands.compute_encoder("cube") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._tables["show"].state, self._tables["show"])
+        commands.run(self._show, "cube", colour=colour, **self._shown)
 
     def _encode_network(self, commands: CommandBuffer, colour: Tensor, kind: _Kind) -> None:
-        self._bind(colour, kind)
-        with commands.compute_encoder("lowres") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._tables["lowres"].state, self._tables["lowres"])
-            encoder.barrier()
-            encoder.dispatch(self._tables["light"].state, self._tables["light"])
-            encoder.barrier()
-            encoder.dispatch(self._tables["follow"].state, self._tables["follow"])
-        with commands.machine_learning_encoder("coefficients") as encoder:
-            encoder.barrier(after="compute", before="machine-learning")
-            encoder.dispatch_network(self._tables["network"].state, self._tables["network"])
-        with commands.compute_encoder("show") as encoder:
-            encoder.barrier(after="machine-learning", before="compute")
-            encoder.dispatch(self._tables["hold"].state, self._tables["hold"])
-            encoder.barrier()
-            encoder.dispatch(self._tables["show"].state, self._tables["show"])
-
-    def _bind(self, colour: Tensor, kind: _Kind) -> None:
-        """Bind the frame's colour and the two halves of the history, which swap from frame to frame."""
-        previous, result = self._history
-        self._tables["lowres"]["colour"] = colour
-        self._tables["follow"]["before"], self._tables["follow"]["after"] = previous.light, result.light
-        self._tables["hold"]["previous"], self._tables["hold"]["result"] = previous.held, result.held
-        self._tables["hold"]["keep"] = result.light
-        self._tables["show"]["colour"], self._tables["show"][kind.shown_by] = colour, result.held
+        """The two halves of the history swap from frame to frame."""
+        before, after = self._history
+        commands.run(LOWRES, "lowres", colour=colour, lowres=self._lowres, **self._shaping)
+        commands.run(LIGHT, "lowres", lowres=self._lowres, light=self._light)
+        commands.run(FOLLOW, "lowres", light=self._light, params=self._pace, before=before.light, after=after.light)
+        commands.run(self._network, "coefficients", **{"lowres": self._lowres, kind.made: self._made})
+        held = {"current": self._made, "previous": before.held, "keep": after.light, "result": after.held}
+        commands.run(kind.hold, "show", **held, **{name: self._shown[name] for name in kind.hold.reads
+                                                   if name in self._shown})
+        commands.run(self._show, "show", **self._shown | {"colour": colour, kind.shown_by: after.held})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future
 from concurrent.futures import wait as wait_for_futures
@@ -11,8 +12,9 @@ from contextlib import contextmanager
 from itertools import groupby
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from postfx.errors import CommandError, CommandTimeout, EncodingError
+from postfx.errors import BindingError, CommandError, CommandTimeout, EncodingError
 from postfx.frame import LOG
+from postfx.kernels import Kernel
 from postfx.runtime.capture import CapturableDevice, Recorder
 from postfx.runtime.encoders import (
     ComputeEncoder,
@@ -23,11 +25,13 @@ from postfx.runtime.encoders import (
     Passage,
     Record,
     Recordings,
+    Tables,
 )
-from postfx.runtime.hazards import Footprint, Hazards, predecessors
+from postfx.runtime.hazards import Accesses, Footprint, Hazards, predecessors, with_barriers
 from postfx.runtime.heap import Placement
 from postfx.runtime.memory import Memory
 from postfx.runtime.session import first_line
+from postfx.runtime.states import State
 from postfx.runtime.tensor import Allocation, Tensor
 from postfx.runtime.threads import CommandQueue, Slots, timeout_error
 
@@ -59,6 +63,8 @@ class CommandDevice(CapturableDevice, Protocol):
     @property
     def slots(self) -> Slots: ...
 
+    def compute_state(self, kernel: Kernel) -> State: ...
+
     def next_encoder(self) -> int: ...
 
     def require_process(self) -> None: ...
@@ -87,6 +93,9 @@ class CommandBuffer:
         self._groups: list[str] = []
         self._passages: list[Passage] = []
         self._encoder: Encoder | None = None
+        self._running: Encoder | None = None  # the encoder of the last `run`, which another one may go on with
+        self._tables = Tables()
+        self._runs: Counter[tuple[State, str]] = Counter()
         self._state = "open"
         self._done = threading.Event()
         self._handled: threading.Event | None = None  # of this commit, where there are handlers
@@ -107,6 +116,7 @@ class CommandBuffer:
         if self._state == "committed":
             raise EncodingError(f"'{self.label}' cannot begin again: {_STATES['committed']}")
         self._require_no_encoder("begin again")
+        self._runs.clear()
         self.label = self.label if label is None else label
         self.records, self._kept, self._placement, self._footprint = [], set(), None, None
         self._error, self._timings, self._handlers, self._passages = None, {}, [], []
@@ -120,6 +130,36 @@ class CommandBuffer:
     def machine_learning_encoder(self, label: str) -> MachineLearningEncoder:
         """Begin to record networks under a label."""
         return self._start(MachineLearningEncoder(self, self._full(label), self.device.next_encoder()))
+
+    def run(self, kernel: Kernel | State, label: str = "", /, **tensors: Tensor) -> None:
+        """Record one run of a kernel, or of a network, on tensors by the names of its bindings.
+
+            commands.run(LOWRES, "prepare", colour=colour, params=params, matrix=matrix, lowres=small)
+
+        Encoders and argument tables are made inside. It runs after what it depends on, by what all commands read and
+        write. Runs in a row under one label are one entry of `timings`.
+
+        Args:
+            kernel: a `Kernel`, or what `Device.pipeline_state`, `compute_state` or `host_state` made.
+            label: default: the name of the kernel or network.
+
+        Raises BindingError for tensors that are missing, unknown or do not fit, HazardError for aliased ones,
+        EncodingError after commit or while an encoder is open.
+        """
+        state = self.device.compute_state(kernel) if isinstance(kernel, Kernel) else kernel
+        label = label or state.name
+        full = self._full(label)
+        tables = self._tables if self.known is None else self.known.tables
+        table = tables.table(state, full, self._runs[state, full])
+        self._runs[state, full] += 1
+        try:
+            table.bind(tensors)
+        except BindingError as error:
+            raise BindingError(f"'{full}': {error}") from None
+        if self._running is None or (self._running.label, self._running.stage) != (full, state.stage):
+            kind = MachineLearningEncoder if state.stage == MachineLearningEncoder.stage else ComputeEncoder
+            self._running = self._start(kind(self, full, self.device.next_encoder()))
+        self._running.dispatch(state, table)
 
     @contextmanager
     def group(self, name: str) -> Iterator[None]:
@@ -148,6 +188,7 @@ class CommandBuffer:
         passage = self.known.passage(key)
         if passage is None:
             first, result = len(self.records), record()
+            self._end_run()
             passage = Passage(self.records[first:], result)
             self.known.keep_passage(key, passage)
         else:
@@ -167,7 +208,10 @@ class CommandBuffer:
         self._handlers.append(handler)
 
     def commit(self) -> None:
-        """Give transient tensors their memory, check all hazards and hand the commands to the device's queue.
+        """Order commands, give transient tensors their memory, check all hazards and hand all to the device's queue.
+
+        Commands that read or write what others write come after them as they were recorded, unless the device has
+        explicit barriers; recorded barriers add to that.
 
         Nothing can be recorded until `begin`.
 
@@ -187,6 +231,7 @@ class CommandBuffer:
         self._handled = threading.Event() if self._handlers else None
         with self.device.commit_lock:
             key = self._recognise()
+            self._order()
             self._place()
             stands_apart = self.device.hazards.commit(self)
             if self.known and key:
@@ -258,6 +303,7 @@ class CommandBuffer:
 
     def _start(self, encoder: E) -> E:
         self._require_open()
+        self._end_run()
         if self._encoder is not None:
             raise EncodingError(f"'{encoder.label}' cannot begin: encoder '{self._encoder.label}' is still open")
         self._encoder = encoder
@@ -267,7 +313,14 @@ class CommandBuffer:
         if self._state != "open":
             raise EncodingError(f"nothing can be recorded into '{self.label}': {_STATES[self._state]}")
 
+    def _end_run(self) -> None:
+        """End the encoder of the last `run`."""
+        if self._running is not None:
+            self._running.end()
+            self._running = None
+
     def _require_no_encoder(self, what: str) -> None:
+        self._end_run()
         if self._encoder is not None:
             raise EncodingError(f"'{self.label}' cannot {what}: encoder '{self._encoder.label}' is still open: end it")
 
@@ -286,6 +339,11 @@ class CommandBuffer:
             return key
         self.records, self._placement, self._footprint, _ = again
         return None
+
+    def _order(self) -> None:
+        """Add the barriers that commands need among themselves, before transient tensors get their memory by them."""
+        if not (self.device.hazards.explicit or self._footprint):
+            self.records = with_barriers(Accesses(self.records))
 
     def _place(self) -> None:
         placement = self.device.heap.arena.place(self.records, self._kept, self._placement, self.label)

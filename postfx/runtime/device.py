@@ -83,6 +83,8 @@ class Device:
         provider: an execution provider of ONNX Runtime for the networks, as 'OpenVINO,device_type=CPU': its name,
             options of its own, and library=, a plug-in's file or package. Kernels and tensors stay on the CPU, and so
             do nodes that it cannot run; 'auto' then means the CPU.
+        explicit_barriers: order commands by the barriers that encoders record and nothing else, as Metal 4 does: one
+            that is missing is a HazardError. If False, what commands read and write orders them, too.
 
     Attributes:
         models: name -> SHA-256 of the networks that are loaded, or may be for frames of another size.
@@ -101,10 +103,11 @@ class Device:
         memory: str | int | None = None,
         graphs: bool = True,
         provider: str | Provider | None = None,
+        explicit_barriers: bool = False,
     ) -> None:
         if threads is not None and threads < 1:
             raise DeviceError(f"a device needs at least 1 thread, not {threads}")
-        self._arguments = name, threads, compiled_kernels, kernels, memory, graphs, provider
+        self._arguments = name, threads, compiled_kernels, kernels, memory, graphs, provider, explicit_barriers
         self.threads = threads or usable_cores()
         self.scratch = None if memory is None else Scratch(memory)
         name = "cpu" if (self.scratch or provider) and name == "auto" else name
@@ -123,7 +126,7 @@ class Device:
         self.commit_lock = threading.Lock()
         self.results_lock = threading.RLock()
         self.active_capture: Capture | None = None
-        self.hazards = Hazards()
+        self.hazards = Hazards(explicit_barriers)
         self.heap = Heap(self, self.memory)
 
     def __repr__(self) -> str:
@@ -319,6 +322,11 @@ class Device:
         if kernel not in self._compute_states:
             self._compute_states[kernel] = self._make_state(kernel)
         return self._compute_states[kernel]
+
+    def make_ready(self, *kernels: Kernel) -> None:
+        """Make kernels ready, so that their first run is no slower than later ones."""
+        for kernel in kernels:
+            self.compute_state(kernel)
 
     def host_state(self, name: str, reads: Sequence[str], writes: Sequence[str],
                    work: Callable[..., None]) -> State:

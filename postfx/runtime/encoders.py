@@ -114,11 +114,36 @@ class KnownCommands(NamedTuple):
     passages: Sequence[Passage]
 
 
-class Recordings:
-    """Knows commands again that were recorded before, on the same tensors, so that they need not be recorded, placed
-    and searched for hazards anew. It keeps what they use alive."""
+MOST_TABLES = 1024
+"""Argument tables of `CommandBuffer.run` that are kept: a frame has about a hundred commands."""
+
+
+class Tables:
+    """Argument tables of commands that need none of the caller's, by state, label, and how many of them came before: so
+    each finds the tensors of the frame before in its table, which are mostly the same."""
 
     def __init__(self) -> None:
+        self._tables: LRUCache[tuple[State, str, int], ArgumentTable] = LRUCache(MOST_TABLES)
+
+    def table(self, state: State, label: str, number: int) -> ArgumentTable:
+        """The table of such a command."""
+        return self._tables.get_or_make((state, label, number), lambda: ArgumentTable(state))
+
+    def clear(self) -> None:
+        """Forget all tables."""
+        self._tables.clear()
+
+
+class Recordings:
+    """Knows commands again that were recorded before, on the same tensors, so that they need not be recorded, placed
+    and searched for hazards anew. It keeps what they use alive.
+
+    Attributes:
+        tables: argument tables of commands that need none of the caller's.
+    """
+
+    def __init__(self) -> None:
+        self.tables = Tables()
         self._known: LRUCache[tuple[object, ...], KnownCommands] = LRUCache(MOST_RECORDINGS)
         self._passages: LRUCache[tuple[object, ...], Passage] = LRUCache(MOST_PASSAGES)
 
@@ -170,6 +195,7 @@ class Recordings:
         """Forget all commands."""
         self._known.clear()
         self._passages.clear()
+        self.tables.clear()
 
 
 _STAGES_TEXT = " and ".join(f"'{stage}'" for stage in STAGES)
@@ -208,6 +234,13 @@ class Encoder:
         if not self._ended:
             self._ended = True
             self._commands.end_encoder()
+
+    def dispatch(self, state: State, table: ArgumentTable) -> None:
+        """Record one run on the tensors that are in the table now.
+
+        Raises BindingError for unbound or unfitting arguments, HazardError for aliased ones.
+        """
+        self._dispatch(state, table)
 
     def barrier(
         self, after: Stages | None = None, before: Stages | None = None, before_queue: Stages | None = None
@@ -294,13 +327,6 @@ class ComputeEncoder(Encoder):
     """Records kernels."""
 
     stage = "compute"
-
-    def dispatch(self, state: State, table: ArgumentTable) -> None:
-        """Record one run of a kernel on the tensors that are in the table now.
-
-        Raises BindingError for unbound or unfitting arguments, HazardError for aliased ones.
-        """
-        self._dispatch(state, table)
 
 
 class MachineLearningEncoder(Encoder):

@@ -1,7 +1,8 @@
-"""Hazards: how barriers order dispatches, which data commands need and leave, and which buffers a commit refuses.
+"""Hazards: how barriers order dispatches, which barriers commands need, and which buffers a commit refuses.
 
 Checks use the tensors bound at dispatch and the directions that the model file or the kernel declares, and compare
-memory by address, so a caller cannot hide an access.
+memory by address, so a caller cannot hide an access. From the same declarations barriers are made, unless a device has
+`explicit_barriers`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 from postfx.errors import CommandError, HazardError
-from postfx.runtime.encoders import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
+from postfx.runtime.encoders import STAGES, Barrier, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier, Record
 from postfx.runtime.memory import Ranges
 from postfx.runtime.tensor import Allocation, Tensor, TensorState, Transient, Use
 from postfx.runtime.threads import Waitable
@@ -32,9 +33,13 @@ class Hazards:
 
     `wait` retires a buffer, not its last command, so a missing barrier between two buffers is found whatever the
     timing.
+
+    Attributes:
+        explicit: whether commands come in the order of recorded barriers alone, so that a missing one is an error.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, explicit: bool = False) -> None:
+        self.explicit = explicit
         self._flying: list[RecordedCommands] = []
         self._open: weakref.WeakSet[RecordedCommands] = weakref.WeakSet()
         self._lock = threading.RLock()
@@ -179,9 +184,13 @@ class Hazards:
                 raise _lost_error(need, failed)
 
     def _check_order(self, commands: RecordedCommands, footprint: Footprint) -> None:
+        footprint.ordered |= not self.explicit  # as barriers were made before memory was shared by them
         if footprint.ordered and not self._flying:
             return
-        conflict = find_conflict([buffer.footprint() for buffer in self._flying], footprint)
+        earlier = [buffer.footprint() for buffer in self._flying]
+        if not self.explicit:
+            footprint.records = commands.records = with_barriers(footprint, earlier)
+        conflict = find_conflict(earlier, footprint)
         if conflict is not None:
             dispatches = list(_dispatches([*self._flying, commands]))
             raise _conflict_error(conflict, dispatches[conflict.first], dispatches[conflict.second])
@@ -234,30 +243,41 @@ class Signature(tuple[object, ...]):
         return super().__hash__()
 
 
-class Footprint:
-    """The accesses of one command buffer's records.
+class Accesses:
+    """What commands access, as far as their order is concerned.
 
     Attributes:
         records: dispatches and barriers, in order.
         dispatches: the dispatches, in order.
-        users: every allocation, with the first tensor and dispatch that use it.
-        needs: the data that must exist before the commands run, by allocation and byte range of the tensor.
-        writes: the data that exists afterwards.
         spans: the byte ranges of the dispatches' tensors, without repeats.
-        filled: whether they were committed before, so that what they need and write exists; that stays true.
-        ordered: whether a search showed that barriers order all these commands; that stays true.
+        ordered: whether it is known that barriers order all these commands; that stays true.
         narrow: whether some take fewer than all threads of their device, so that others may run beside them.
     """
 
     def __init__(self, records: Sequence[Record]) -> None:
         self.records = records
         self.dispatches = [record for record in records if isinstance(record, Dispatch)]
+        self.spans = _spans(self.dispatches)
+        self.ordered = False
+        self.narrow = any([item.state is not None and item.state.narrow for item in self.dispatches])
+
+
+class Footprint(Accesses):
+    """The accesses of one command buffer's records.
+
+    Attributes:
+        users: every allocation, with the first tensor and dispatch that use it.
+        needs: the data that must exist before the commands run, by allocation and byte range of the tensor.
+        writes: the data that exists afterwards.
+        filled: whether they were committed before, so that what they need and write exists; that stays true.
+    """
+
+    def __init__(self, records: Sequence[Record]) -> None:
+        super().__init__(records)
         self.users: dict[Allocation, tuple[Tensor, Dispatch]] = {}
         self.needs: dict[tuple[Allocation, tuple[int, int]], Need] = {}
         self.writes: dict[Allocation, Ranges] = {}
-        self.spans = _spans(self.dispatches)
-        self.filled = self.ordered = False
-        self.narrow = any([item.state is not None and item.state.narrow for item in self.dispatches])
+        self.filled = False
         for dispatch in self.dispatches:
             for tensor in dispatch.reads:
                 self.users.setdefault(tensor.allocation, (tensor, dispatch))
@@ -316,34 +336,69 @@ class Conflict(NamedTuple):
     tensor: Tensor
 
 
-def predecessors(records: Iterable[Record]) -> list[int]:
-    """For every dispatch, in order, the set of dispatches that barriers put before it, as a bit mask of indices.
+class Order:
+    """How barriers order dispatches, record by record.
 
     A barrier orders two dispatches when one lies in its first scope and the other in its second; the order is
     transitive.
+
+    Attributes:
+        before: for every dispatch so far, the set of dispatches that come before it, as a bit mask of indices.
     """
-    result: list[int] = []
-    finished = dict.fromkeys(STAGES, 0)   # dispatches of earlier encoders by stage, with all that comes before them
-    waits = dict.fromkeys(STAGES, 0)      # dispatches that every later one of the stage comes after
-    later = dict.fromkeys(STAGES, 0)      # the same, from the next encoder on
-    encoder, current, inner, stage = -1, 0, 0, STAGES[0]
-    for record in records:
-        if record.encoder != encoder:
-            finished[stage] |= current
-            waits = {name: waits[name] | later[name] for name in STAGES}
-            encoder, current, inner = record.encoder, 0, 0
+
+    def __init__(self) -> None:
+        self.before: list[int] = []
+        self._finished = dict.fromkeys(STAGES, 0)  # dispatches of earlier encoders, with all that comes before them
+        self._waits = dict.fromkeys(STAGES, 0)     # dispatches that every later one of the stage comes after
+        self._later = dict.fromkeys(STAGES, 0)     # the same, from the next encoder on
+        self._encoder, self._current, self._inner, self._stage = -1, 0, 0, STAGES[0]
+
+    def add(self, record: Record) -> None:
+        """Go on by a dispatch or a barrier."""
+        self._enter(record)
         if isinstance(record, Dispatch):
-            stage = record.stage
-            before = waits[stage] | inner
-            current |= before | 1 << len(result)
-            result.append(before)
+            self._stage = record.stage
+            before = self._waits[record.stage] | self._inner
+            self._current |= before | 1 << len(self.before)
+            self.before.append(before)
         elif isinstance(record, EncoderBarrier):
-            inner |= current
+            self._inner |= self._current
         elif isinstance(record, ConsumerBarrier):
-            _order(finished, record, waits)
-        elif isinstance(record, ProducerBarrier):
-            _order(finished | {stage: finished[stage] | current}, record, later)
-    return result
+            _order(self._finished, record, self._waits)
+        else:
+            done = self._finished | {self._stage: self._finished[self._stage] | self._current}
+            _order(done, record, self._later)
+
+    def missing(self, dispatch: Dispatch, needed: int) -> list[Barrier]:
+        """The barriers to record before the next dispatch so that it comes after all that is `needed`."""
+        self._enter(dispatch)
+        left = needed & ~(self._waits[dispatch.stage] | self._inner)
+        found: list[Barrier] = []
+        if left & self._current:
+            found.append(EncoderBarrier(dispatch.encoder))
+            left &= ~self._current
+        after = []
+        for stage in STAGES:
+            if left & self._finished[stage]:
+                after.append(stage)
+                left &= ~self._finished[stage]
+        if after:
+            found.append(ConsumerBarrier(dispatch.encoder, frozenset(after), frozenset((dispatch.stage,))))
+        return found
+
+    def _enter(self, record: Record) -> None:
+        if record.encoder != self._encoder:
+            self._finished[self._stage] |= self._current
+            self._waits = {name: self._waits[name] | self._later[name] for name in STAGES}
+            self._encoder, self._current, self._inner = record.encoder, 0, 0
+
+
+def predecessors(records: Iterable[Record]) -> list[int]:
+    """For every dispatch, in order, the set of dispatches that barriers put before it, as a bit mask of indices."""
+    order = Order()
+    for record in records:
+        order.add(record)
+    return order.before
 
 
 def _order(done: dict[str, int], barrier: ConsumerBarrier | ProducerBarrier, waits: dict[str, int]) -> None:
@@ -353,6 +408,33 @@ def _order(done: dict[str, int], barrier: ConsumerBarrier | ProducerBarrier, wai
         mask |= done[name]
     for name in barrier.before:
         waits[name] |= mask
+
+
+def with_barriers(new: Accesses, earlier: Sequence[Accesses] = ()) -> list[Record]:
+    """The records of new commands, with the barriers that what they read and write needs: among themselves, or after
+    `earlier` commands if there are some. Recorded barriers stay.
+
+    Where all commands take their whole device, so that they run one by one anyway, encoders come one after the other:
+    transient tensors of different encoders then share memory.
+    """
+    order, first_new = Order(), sum(len(part.dispatches) for part in earlier)
+    needed = iter(_suspects(earlier, new, first_new))
+    for part in earlier:
+        for record in part.records:
+            order.add(record)
+    known = (1 << first_new) - 1
+    one_by_one, encoder, records = not (earlier or new.narrow), -1, list[Record]()
+    for record in new.records:
+        if isinstance(record, Dispatch):
+            others = next(needed) & known if earlier else next(needed)
+            if one_by_one and record.encoder != encoder:
+                others, encoder = (1 << len(order.before)) - 1, record.encoder
+            for barrier in order.missing(record, others):
+                order.add(barrier)
+                records.append(barrier)
+        order.add(record)
+        records.append(record)
+    return records
 
 
 def find_conflict(earlier: Sequence[Footprint], new: Footprint) -> Conflict | None:
@@ -374,7 +456,7 @@ def find_conflict(earlier: Sequence[Footprint], new: Footprint) -> Conflict | No
     return None
 
 
-def _suspects(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> list[int]:
+def _suspects(earlier: Sequence[Accesses], new: Accesses, first_new: int) -> list[int]:
     """For each new dispatch, the earlier ones that share a byte with it that one of the two writes."""
     near = _near(earlier, new, first_new)
     result = []
@@ -391,7 +473,7 @@ def _suspects(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> l
 _NOBODY = (0, 0)
 
 
-def _near(earlier: Sequence[Footprint], new: Footprint, first_new: int) -> dict[tuple[int, int], tuple[int, int]]:
+def _near(earlier: Sequence[Accesses], new: Accesses, first_new: int) -> dict[tuple[int, int], tuple[int, int]]:
     """For each byte range of new commands, the dispatches to compare: those that write and those that use a byte."""
     spans: list[tuple[Span, bool]] = []
     shift = 0

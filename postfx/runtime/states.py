@@ -58,6 +58,8 @@ class StateDevice(TensorDevice, Protocol):
 
     def compute_state(self, kernel: Kernel) -> State: ...
 
+    def make_ready(self, *kernels: Kernel) -> None: ...
+
 
 class State(Protocol):
     """What an argument table is made for and an encoder dispatches; `model` is a network's file, `capturable` whether
@@ -65,6 +67,7 @@ class State(Protocol):
     its own stream on a GPU, 0 for the device's."""
 
     device: StateDevice
+    name: str
     command: str
     stage: str
     capturable: bool
@@ -413,7 +416,7 @@ def _prepare(state: State, tensors: tuple[Tensor, ...], memory: Tensor | None) -
 
 class Intermediates:
     """Memory for what networks compute between their inputs and outputs, made by `Device.intermediates`. Networks that
-    a barrier orders share it; without one, a commit raises HazardError.
+    some order puts one after the other share it.
 
     Our own networks on a GPU run in it. ONNX Runtime takes nobody's memory: its networks run in the arena that all of
     them share, which `Heap.size` and `Heap.peak` count.
@@ -471,6 +474,14 @@ class ArgumentTable:
         self._check(self._binding(name), tensor)
         self._tensors[name] = tensor
         self._arguments = None
+
+    def bind(self, tensors: Mapping[str, Tensor]) -> None:
+        """Set all tensors at once. Raises BindingError for one that is missing, too."""
+        missing = [name for name in self._bindings if name not in tensors]
+        if missing:
+            raise BindingError(f"{self.state.command}: nothing is bound to {_quote(missing)}: give {missing[0]}=")
+        for name, tensor in tensors.items():
+            self[name] = tensor
 
     def __getitem__(self, name: str) -> Tensor:
         """The tensor bound to a name. Raises BindingError when the name is unknown or has no tensor."""

@@ -5,8 +5,8 @@ their results differ.
 
 The earlier commit makes frames between four of 270x480, and keeps what its kernels are called with. Both run the same
 calls in processes of one thread that take turns. With a folder that holds the commit and has run before, nothing is
-compiled again, and only this processor's own level is measured. It prints the medians of processor time, their ratio, and the largest
-difference in units of the largest value.
+compiled again, and only this processor's own level is measured. It prints the medians of processor time, their ratio,
+and the largest difference in units of the largest value.
 """
 
 from __future__ import annotations

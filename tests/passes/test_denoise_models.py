@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import pytest
 
 from postfx.errors import ModelError, PassOptionError, PostfxError
 from postfx.frame import FrameSpec, Role
-from postfx.passes.denoise import DenoiseUpscale
+from postfx.passes.denoise import DenoiseUpscale, graph
+from postfx.passes.denoise.graph import ALPHA, FRAME, LAYERS, WINDOW, kernels_of
 from postfx.passes.denoise.models import CLASSIC, GUIDED, exact, family, model_of, split_ending, validate_tag
 from postfx.pipeline import Pipeline
 from postfx.runs.run import provenance_of
@@ -145,3 +147,30 @@ def test_a_file_that_is_no_denoiser(tmp_path: Path) -> None:
     toys.make_library(tmp_path)
     with pytest.raises(ModelError, match="model 'double' is not a denoiser: it reads x and gives y"):
         colour_of(model=str(tmp_path / "double.onnx"))
+
+
+@pytest.mark.parametrize(("words", "half", "kernels"), [
+    ("plain moves", False, "dilate history features accumulate pool pool pool pool filter mix filter "
+     "mix filter mix filter mix filter remodulate upsample"),
+    ("plain coded stored", False, "dilate features_stored accumulate pool pool pool pool filter mix "
+     "filter mix filter mix filter mix filter_codes remodulate upsample_codes"),
+    ("plain gpu shaded", True, "dilate features_half accumulate_half pools filter_half "
+     "filter_mixed_half filter_mixed_half filter_mixed_half filter_shaded_half upsample_half"),
+    ("guides guided doubts masked gpu", False, "dilate means keep features guides trust accumulate pools "
+     "filter filter_mixed filter_mixed filter_mixed filter_mixed remodulate_both upsample_guided"),
+    ("unscaled mirrored doubts error", False, "dilate means features mirrored accumulate pool pool pool "
+     "pool filter mix filter mix filter mix filter mix filter remodulate_both upsample_unscaled open_error"),
+    ("given moves gpu", False, "dilate history features accumulate blend_picture"),
+])
+def test_words_choose_the_steps_of_a_window(words, half, kernels):
+    """The orders of frames without guides and with them, in 8 bits, in half precision on a GPU, and of a picture."""
+    found = kernels_of(WINDOW, frozenset(words.split()), half)
+    assert [kernel.name for kernel in found] == [f"denoise_{name}" for name in kernels.split()]
+
+
+def test_all_words_of_steps_are_explained():
+    tables = (FRAME, WINDOW, LAYERS, ALPHA, graph.CLASSIC)
+    steps = [one for table in tables for some in table.values() for one in some]
+    words = {word for one in steps for word in one.when | one.unless}
+    assert {"moves", "gpu", "divided"} < words
+    assert not words - set(re.findall(r"\w+", graph.__doc__))

@@ -27,7 +27,8 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> Library:
 
 @pytest.fixture
 def device() -> Device:
-    return Device("cpu", threads=2)
+    """Commands are ordered by what tests record."""
+    return Device("cpu", threads=2, explicit_barriers=True)
 
 
 @pytest.fixture
@@ -35,7 +36,7 @@ def remote(monkeypatch, kernels):
     """A device whose memory the host cannot look at: the same path as on a GPU, on the CPU provider."""
     placement = Placement("CPUExecutionProvider", "cpu", 0, 2)
     monkeypatch.setattr(device_module, "choose", lambda *rest: (placement, ProviderMemory(placement)))
-    return Device("auto", kernels=kernels)
+    return Device("auto", kernels=kernels, explicit_barriers=True)
 
 
 @pytest.fixture

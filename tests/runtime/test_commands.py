@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from postfx.kernels import Kernel
-from postfx.runtime import ArgumentTable, CommandError, EncodingError, HazardError
+from postfx.runtime import ArgumentTable, BindingError, CommandError, Device, EncodingError, HazardError
+from postfx.runtime.encoders import Recordings
+from tests import toys
 
 
 def kernel_state(device, rows, name="test"):
@@ -210,3 +212,71 @@ def test_empty_buffer_is_fine(device):
     commands.commit()
     commands.wait(10)
     assert commands.timings == []
+
+
+@pytest.fixture
+def by_itself():
+    """A device that orders commands by what they read and write."""
+    return Device("cpu", threads=2)
+
+
+def test_run_orders_kernels_and_networks_by_what_they_read_and_write(by_itself, library, ones):
+    network = by_itself.pipeline_state(library, "double", {"height": 4, "width": 5})
+    x = by_itself.wrap("x", ones.copy())
+    once, twice, total = (by_itself.heap.tensor(str(i), (1, 4, 5)) for i in range(3))
+    commands = by_itself.command_buffer("frame")
+    with commands.group("pass"):
+        commands.run(toys.ADD, a=x, b=x, total=once)
+        commands.run(network, x=once, y=twice)
+        commands.run(toys.ADD, "sums", a=twice, b=once, total=total)
+        commands.run(toys.ADD, "sums", a=total, b=x, total=once)
+    for value in (1, 3):
+        if value > 1:
+            x.upload(value * ones)
+        commands.commit()
+        commands.wait(10)
+        assert np.array_equal(total.array, 6 * value * ones) and np.array_equal(once.array, 7 * value * ones)
+    assert [label for label, _ in commands.timings] == ["pass/add", "pass/double", "pass/sums"]
+
+
+def test_run_goes_beside_encoders_and_passages(by_itself, ones):
+    known, x = Recordings(), by_itself.wrap("x", ones)
+    made = [by_itself.heap.tensor(str(i), (1, 4, 5)) for i in range(3)]
+    table = ArgumentTable(by_itself.compute_state(toys.ADD), {"a": made[0], "b": x, "total": made[1]})
+    for _ in range(2):
+        commands = by_itself.command_buffer("frame", known=known)
+        commands.repeat(("one", x), lambda: commands.run(toys.ADD, "same", a=x, b=x, total=made[0]))  # noqa: B023
+        with commands.compute_encoder("mine") as encoder:
+            encoder.dispatch(table.state, table)
+        commands.run(toys.ADD, "same", a=made[1], b=x, total=made[2])
+        commands.commit()
+        commands.wait(10)
+        assert (made[2].array == 4).all() and len(commands.timings) == 3
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"b": None}, "'first': kernel 'add': nothing is bound to 'b': give b="),
+    ({"c": "x"}, "'first': kernel 'add' has no binding 'c'"),
+    ({"total": "x"}, "'first' .* has 'x' on the same memory"),
+])
+def test_run_names_what_does_not_fit_even_after_one_that_did(by_itself, ones, change, message):
+    x, total = by_itself.wrap("x", ones), by_itself.heap.tensor("total", (1, 4, 5))
+    fitting = {"a": x, "b": x, "total": total}
+    commands = by_itself.command_buffer("frame")
+    commands.run(toys.ADD, "first", **fitting)
+    commands.begin()
+    wrong = {name: {"x": x, None: None}.get(change.get(name, 0), fitting.get(name)) for name in (*fitting, *change)}
+    with pytest.raises((BindingError, HazardError), match=message):
+        commands.run(toys.ADD, "first", **{name: tensor for name, tensor in wrong.items() if tensor is not None})
+
+
+def test_run_finds_its_tables_again(by_itself, ones):
+    known, x, total = Recordings(), by_itself.wrap("x", ones), by_itself.heap.tensor("total", (1, 4, 5))
+    found = []
+    for _ in range(2):
+        commands = by_itself.command_buffer("frame", known=known)
+        commands.run(toys.ADD, a=x, b=x, total=total)
+        found.append(commands.records[0].arguments)
+        commands.commit()
+        commands.wait(10)
+    assert found[0] is found[1]

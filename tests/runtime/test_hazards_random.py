@@ -8,7 +8,7 @@ import random
 import pytest
 
 from postfx.runtime.encoders import STAGES, ConsumerBarrier, Dispatch, EncoderBarrier, ProducerBarrier
-from postfx.runtime.hazards import Footprint, find_conflict, predecessors
+from postfx.runtime.hazards import Footprint, find_conflict, predecessors, with_barriers
 from postfx.runtime.tensor import Tensor
 
 MEMORY = 12
@@ -116,6 +116,35 @@ def test_finds_what_brute_force_finds(seed, ordered):
             second, first, kinds = min(expected, key=lambda item: item[:2])
             assert (conflict.second, conflict.first) == (second, first) and conflict.kind in kinds
     assert 0 < clean < 100
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_barriers_are_made_where_brute_force_finds_conflicts(seed):
+    """And only there, where some commands leave threads to others."""
+    rng, added = random.Random(7000 + seed), 0
+    for _ in range(50):
+        *earlier, new = split(rng, random_records(rng, encoders=rng.randint(1, 6)))
+        new.narrow = True
+        in_flight = [record for part in earlier for record in part.records]
+        first_new = sum(len(part.dispatches) for part in earlier)
+        alone = with_barriers(new)
+        assert not brute_force(alone, 0, False)
+        assert (alone == new.records) == (not brute_force(new.records, 0, False))
+        new.records = alone
+        both = with_barriers(new, earlier) if earlier else alone
+        assert not brute_force([*in_flight, *both], first_new, False)
+        assert [record for record in both if isinstance(record, Dispatch)] == new.dispatches
+        added += len(both) - len(alone)
+    assert added
+
+
+def test_encoders_that_take_the_whole_device_come_one_after_the_other():
+    rng = random.Random(1)
+    records = [Dispatch("label", "command", STAGES[i // 2 % 2], i // 2, (), (Bytes(rng),), lambda: None)
+               for i in range(6)]
+    records[0].writes = records[1].writes = records[3].writes = ()
+    before = predecessors(with_barriers(Footprint(records)))
+    assert [mask & 0b11 for mask in before[2:]] == [0b11] * 4
 
 
 @pytest.mark.parametrize("seed", range(5))

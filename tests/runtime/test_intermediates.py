@@ -127,7 +127,8 @@ def test_our_own_networks_share_memory_of_the_heap(tmp_path: Path, monkeypatch: 
     """Two sizes of a network, once each in its own memory and once both in one; without a barrier that is a hazard."""
     (tmp_path / "toy.onnx").write_bytes(make_network(lambda graph: None))
     monkeypatch.setattr(Device, "gpu", HostGpu(warpgroups=False, processors=7))
-    device, library, random = Device("cpu", threads=1), Library(tmp_path), np.random.default_rng(1)
+    device = Device("cpu", threads=1, explicit_barriers=True)
+    library, random = Library(tmp_path), np.random.default_rng(1)
     states = [device.pipeline_state(library, "toy", {"height": rows, "width": 56}) for rows in (40, 24)]
     tables = []
     for state in states:

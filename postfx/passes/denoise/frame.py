@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, MutableMapping, Sequence
 from copy import copy
 from functools import cached_property, partial
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,12 +17,10 @@ from postfx.colour import WIDER
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.colour import CONVERT_PRIMARIES
 from postfx.kernels.denoise import HIDDEN
-from postfx.kernels.denoise.history import SPREAD_MASK
 from postfx.kernels.denoise.output import ASSEMBLE
-from postfx.kernels.denoise.prepare import SCALE
 from postfx.kernels.statistics import OUTSIDE, light_outside
 from postfx.passes import ResidentFrame
-from postfx.passes.denoise.graph import ClassicGraph, Layer, LayerGraph
+from postfx.passes.denoise.graph import FRAME, Layer, WindowGraph, kernels_of, run_steps
 from postfx.passes.denoise.history import WHOLE, History, PartHistory, Reflections, can_follow
 from postfx.passes.denoise.models import CLASSIC, blanks_volumes, grid_of, halo_of, reads_mirrored, seamless
 from postfx.passes.denoise.options import ReactiveOption, Size
@@ -48,7 +46,7 @@ from postfx.passes.denoise.tiling import (
     whole_sides,
     whole_steps,
 )
-from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
+from postfx.runtime import CommandBuffer, Device, Tensor
 
 MOST_PLACES = 64
 OUT = ("output", "next_history", "light")
@@ -67,8 +65,8 @@ class Assembly:
         self._made: tuple[int, int, int, tuple[str, ...]] | None = None
         self._slots: list[dict[str, Tensor]] = []
         self._places: dict[tuple[Band, Rows, bool], dict[str, Tensor]] = {}
-        self._state = device.compute_state(ASSEMBLE)
-        self._tables: dict[str, ArgumentTable] = {}
+        self._tiles: dict[str, Tensor] = {}
+        device.make_ready(ASSEMBLE)
 
     def slots(self, tiles: Sequence[Tile], targets: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
         """Where each of a band's tiles writes its share of the frame's targets, by the kernels' names."""
@@ -78,7 +76,7 @@ class Assembly:
         key = len(tiles), window.rows, window.columns, names
         if key == self._made:
             return self._slots
-        self._tables = {name: ArgumentTable(self._state) for name in names}
+        self._tiles = {}
         for name in names:
             channels = targets[name].shape[2]
             size = (window.out.rows, window.out.columns) if name.startswith(OUT) else (window.rows, window.columns)
@@ -87,7 +85,7 @@ class Assembly:
             if stack is None or stack.shape[0] < len(tiles) * one:
                 self._stacks.pop(name, None)
                 stack = self._stacks[name] = self._device.heap.tensor(f"{name} of tiles", (len(tiles) * one,))
-            self._tables[name]["tiles"] = stack.view(f"{name} of tiles", (len(tiles), *size, channels))
+            self._tiles[name] = stack.view(f"{name} of tiles", (len(tiles), *size, channels))
             for i, slot in enumerate(slots):
                 slot[name] = stack.view(f"{name} of tile {i}", (*size, channels), i * one)
         self._made, self._slots = key, slots
@@ -108,15 +106,11 @@ class Assembly:
         """Record the work that copies a band's tiles into the frame's tensors: its own rows into the output, and the
         rows `kept` into the next frame's history. If there are layers, which read them, these rows go into the output,
         too."""
-        layered = any(name.startswith("light") for name in self._tables)
-        with commands.compute_encoder("assemble") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            for name, table in self._tables.items():
-                rows, out = band.own if name == "output" and not layered else kept, name.startswith(OUT)
-                for binding, tensor in self._place(band, rows, out).items():
-                    table[binding] = tensor
-                table["picture"] = rows_of(targets[name], self._sized(rows, out))
-                encoder.dispatch(table.state, table)
+        layered = any(name.startswith("light") for name in self._tiles)
+        for name, tiles in self._tiles.items():
+            rows, out = band.own if name == "output" and not layered else kept, name.startswith(OUT)
+            picture = rows_of(targets[name], self._sized(rows, out))
+            commands.run(ASSEMBLE, "assemble", tiles=tiles, picture=picture, **self._place(band, rows, out))
 
     def _place(self, band: Band, rows: Rows, out: bool) -> dict[str, Tensor]:
         key = band, rows, out
@@ -168,13 +162,6 @@ def _put_together(targets: Mapping[str, Tensor]) -> tuple[str, ...]:
     return (*CHANNELS, *(name for name in targets if name.startswith(("light ", "next_part ")) or name == ERROR))
 
 
-class Graphs(NamedTuple):
-    """What is ready to run on windows of one size."""
-
-    networks: LayerGraph | None
-    classic: ClassicGraph | None
-
-
 MOST_GRAPHS = 4
 """Most window sizes, beside the whole frame's, that are kept ready."""
 CLOSE = 1.15
@@ -195,7 +182,7 @@ class Frames:
         self._device, self._sizes, self._models = device, sizes, tuple(models)
         self._guided, self._reactive, self._layered = guided, reactive, layered
         self._halo, self._fixed = halo_of(models), GPU_FIXED if device.gpu else FIXED
-        self._graphs: LRUCache[Shape, Graphs] = LRUCache(MOST_GRAPHS)
+        self._graphs: LRUCache[Shape, WindowGraph] = LRUCache(MOST_GRAPHS)
         self._bands = bands_within(device.scratch, sizes, seamless(models))
         self._whole = None if self._bands else self._graph_of((sizes.h, sizes.w))
         self._window = Window.whole(sizes)
@@ -208,9 +195,7 @@ class Frames:
         self._kept: bool | None = None  # what the tensor 'keep' holds
         self._output = between("output", (sizes.height, sizes.width, 3))
         self._assembly = Assembly(device, sizes)
-        self._scale = ArgumentTable(device.compute_state(SCALE),
-                                    {"depth_scale": self._common["depth_scale"]})
-        self._spread = ArgumentTable(device.compute_state(SPREAD_MASK)) if reactive else None
+        device.make_ready(*kernels_of(FRAME, frozenset({"reactive"} if reactive else ())))
         self.model = models[0]
 
     def use(self, model: str) -> None:
@@ -274,16 +259,10 @@ class Frames:
 
     def _record(self, commands: CommandBuffer, seen: Mapping[str, Tensor], targets: dict[str, Tensor], moves: bool,
                 masked: bool, band: Band | None, kept: Rows, layers: Sequence[Layer]) -> None:
-        self._scale["depth"] = seen["depth"]
-        with commands.compute_encoder("scale") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._scale.state, self._scale)
-            if self._spread:
-                self._spread["reactive"] = seen["reactive"]
-                self._spread["next_reactive"] = targets["next_reactive"]
-                encoder.dispatch(self._spread.state, self._spread)
+        words = frozenset({"reactive"} if self._reactive else ())
+        run_steps(commands, FRAME, words, {**seen, **targets})
         if band is None and self._whole:
-            self._encode_window(commands, self._whole, self._window, {**seen, **targets}, moves, masked, layers)
+            self._whole.encode(commands, self._window, self.model, {**seen, **targets}, moves, masked, layers)
         for some in [band] if band else self._bands:
             self._encode_tiles(commands, some, seen, targets, masked, kept if band else some.own, layers)
 
@@ -302,23 +281,11 @@ class Frames:
         window = band.tiles[0].window
         graph, direct = self._graphs[window.rows, window.columns], self._assembly.direct(band, targets, kept)
         if direct:
-            self._encode_window(commands, graph, window, {**seen, **direct}, True, masked, layers)
+            graph.encode(commands, window, self.model, {**seen, **direct}, True, masked, layers)
             return
         for tile, slot in zip(band.tiles, self._assembly.slots(band.tiles, targets), strict=True):
-            self._encode_window(commands, graph, tile.window, {**seen, **slot}, True, masked, layers)
+            graph.encode(commands, tile.window, self.model, {**seen, **slot}, True, masked, layers)
         self._assembly.encode(commands, band, targets, kept)
-
-    def _encode_window(self, commands: CommandBuffer, graphs: Graphs, window: Window, tensors: Mapping[str, Tensor],
-                       moves: bool, masked: bool, layers: Sequence[Layer]) -> None:
-        if self.model == CLASSIC:
-            assert graphs.classic is not None  # as made for this model
-            graphs.classic.encode(commands, window, tensors, masked)
-            return
-        graph = graphs.networks
-        assert graph is not None
-        graph.encode(commands, window, self.model, tensors, moves, masked)
-        if layers:
-            graph.encode_layers(commands, window, self.model, tensors, masked, layers)
 
     def _make(self, shape: Shape) -> Shape:
         """Make a graph ready for windows of a size, or somewhat larger ones if there were others before."""
@@ -329,12 +296,9 @@ class Frames:
         self._graphs.get_or_make(shape, partial(self._graph_of, shape))
         return shape
 
-    def _graph_of(self, shape: Shape) -> Graphs:
-        window, networks = Window(self._sizes, 0, 0, *shape), [name for name in self._models if name != CLASSIC]
-        return Graphs(
-            LayerGraph(self._device, window, networks, self._guided, self._reactive, self._layered) if networks
-            else None,
-            ClassicGraph(self._device, window, self._reactive) if len(networks) < len(self._models) else None)
+    def _graph_of(self, shape: Shape) -> WindowGraph:
+        return WindowGraph(self._device, Window(self._sizes, 0, 0, *shape), self._models, self._guided, self._reactive,
+                           self._layered)
 
 
 COLOURS = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
@@ -383,11 +347,8 @@ class WiderPrimaries:
             self._matrices[wider].upload((WIDER if wider else np.linalg.inv(WIDER)).ravel())
         if name not in self._made:
             self._made[name] = self._device.heap.transient(name, colour.shape)
-        table = ArgumentTable(self._device.compute_state(CONVERT_PRIMARIES), {
-            "colour": colour, "matrix": self._matrices[wider], "output": self._made[name]})
-        with commands.compute_encoder("primaries") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(table.state, table)
+        commands.run(CONVERT_PRIMARIES, "primaries", colour=colour, matrix=self._matrices[wider],
+                     output=self._made[name])
         return self._made[name]
 
 

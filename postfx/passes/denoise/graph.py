@@ -1,12 +1,44 @@
-"""What runs for one window of a frame: networks and the kernels around them, for layers beside the picture, too, or
-the classical filter."""
+"""The denoiser's frame as tables, to be read from top to bottom: which kernels run, when, on what.
+
+    planes.py      brings planes and guides to the sizes that are read, makes the reactive mask;
+                   history.py finds the motion of reflections
+    FRAME          runs once a frame
+    WINDOW         takes the picture of each window through a network; or CLASSIC does, without one
+    LAYERS, ALPHA  filter what lies beside the picture in the same window
+    frame.py       puts windows together
+    planes.py      gives detail back, blends with the input by strength, corrects alpha, resamples
+                   what passes through
+    parts.py       makes light add up to the picture
+
+A step runs where all of its words hold, and none of those behind `unless`:
+
+    moves      the last output is warped to this frame
+    masked     each pixel keeps another share of the history
+    guided     the frame has guides, planes of the output's size
+    mirrored   the network reads planes that follow mirrors and glass
+    doubts     the network says how far planes are trusted
+    stored     the network reads features in 8 bits, which their kernel makes
+    coded      the fine head is made of 8-bit codes by the kernels that read it
+    error      the expected error is asked for
+    reactive   the frame has a mask of where the history is not used
+    gpu        a GPU fuses some filters
+    shaded     it fuses the last filter and the reflectance, too
+    plain, guides, unscaled, given
+               what ends the window: colour is enlarged with its reflectance, or gets that of guides,
+               or stays at the render size, or the network gives the picture itself
+    filtered   a layer has light of its own to filter, unlike the whole picture beside parts
+    divided    a layer is divided by its own reflectance
+"""
 
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,11 +46,11 @@ from postfx.caching import LRUCache
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import FINE, IN_HALF, MIX, TRUST_CELL
 from postfx.kernels.denoise.classic import ATROUS, GATHER, RESOLVE, STEPS
-from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, TRUST
-from postfx.kernels.denoise.history import HISTORY, KEEP
+from postfx.kernels.denoise.features import FEATURE, GUIDE, MIRROR, STORED_FEATURE, TRUST
+from postfx.kernels.denoise.history import HISTORY, KEEP, SPREAD_MASK
 from postfx.kernels.denoise.network_io import OPEN_ERROR, SOME
 from postfx.kernels.denoise.parts import ACCUMULATE_PART, REFLECT, UPSAMPLE_LIGHT
-from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, means_size
+from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, means_size
 from postfx.kernels.denoise.pyramid import (
     ENLARGE_ALPHA,
     FILTER,
@@ -42,6 +74,7 @@ from postfx.kernels.denoise.upsample import (
     UPSAMPLE_UNSCALED,
 )
 from postfx.passes.denoise.history import ALPHA_LAYER, alone, one_of, some_of
+from postfx.passes.denoise.models import CLASSIC as CLASSIC_MODEL
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.network import (
     CONTROLS,
@@ -51,7 +84,6 @@ from postfx.passes.denoise.network import (
     Network,
     alike_heads,
     check_bindings,
-    codes_features,
     free_dimensions,
     heads_of,
     is_half,
@@ -59,264 +91,176 @@ from postfx.passes.denoise.network import (
     upload,
 )
 from postfx.passes.denoise.tiling import LEVELS, Window
-from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, PipelineState, Tensor
+from postfx.runtime import CommandBuffer, Device, PipelineState, Tensor
 
-PLAIN, GUIDED, UNSCALED, GIVEN = "plain", "guided", "unscaled", "given"
-ENDS = {PLAIN: (REMODULATE, UPSAMPLE), GUIDED: (REMODULATE_BOTH, UPSAMPLE_GUIDED),
-        UNSCALED: (REMODULATE_BOTH, UPSAMPLE_UNSCALED)}
-"""Kernels that put the reflectance back and enlarge: before, with that of guides, or after, at the render size. A
-picture that is given needs none of them."""
+PLAIN, GUIDES, UNSCALED, GIVEN = "plain", "guides", "unscaled", "given"
+
+
+class Step(NamedTuple):
+    """A kernel, and where it runs.
+
+    Attributes:
+        when, unless: words of this module's description that must hold, and must not.
+        each: whether it runs on each layer by itself.
+        buffers: names of the buffers of those bindings whose buffers have other names.
+    """
+
+    kernel: Kernel
+    when: frozenset[str]
+    unless: frozenset[str]
+    each: bool
+    buffers: Mapping[str, str]
+
+
+Steps = tuple[Step, ...]
+
+
+def step(kernel: Kernel, when: str = "", unless: str = "", **buffers: str) -> Step:
+    """A step, with its words in one text."""
+    return Step(kernel, frozenset(when.split()), frozenset(unless.split()), False, buffers)
+
+
+def each(kernel: Kernel, when: str, **buffers: str) -> Step:
+    """A step that runs on each layer by itself."""
+    return step(kernel, when, **buffers)._replace(each=True)
+
+
+def _pool(i: int) -> Step:
+    """Halves the size of light, weighted by importance."""
+    return step(POOL, unless="gpu given",
+                finer=f"pool {i - 1}", finer_importance=f"importance {i - 1}",
+                finer_rows=f"finer_rows {i}", finer_columns=f"finer_columns {i}",
+                level=f"pool {i}", importance=f"importance {i}")
+
+
+def _filtering(i: int) -> Steps:
+    """Filters one level of the pyramid, mixed with the filtered level below it."""
+    head, area = f"head level{i}" if i else "head fine", f"area {i}"
+    buffers = {"heads": head, "area": area, "filtered": f"filtered {i}"}
+    if i == LEVELS:
+        return (step(FILTER, unless="given", mixed=f"pool {i}", **buffers),)
+    buffers |= {"mixed": f"mixed {i}", "level": f"pool {i}", "coarse": f"filtered {i + 1}",
+                "coarse_rows": f"coarse_rows {i}", "coarse_columns": f"coarse_columns {i}"}
+    if i > 0:
+        return (
+            step(MIX_LEVELS, "", "gpu given", **buffers),
+            step(FILTER, "", "gpu given", **buffers),
+            step(FILTER_MIXED, "gpu", "given", **buffers))
+    return (
+        step(MIX_LEVELS, "", "gpu given", **buffers),
+        step(FILTER, "", "gpu given coded", **buffers),
+        step(FILTER_CODES, "coded", "given", **buffers),
+        step(FILTER_MIXED, "gpu", "given shaded", **buffers),
+        step(FILTER_SHADED, "gpu shaded", radiance="radiance plain", **buffers))
+
+
+_POOLS = step(POOLS, "gpu", "given", finer="pool 0", finer_importance="importance 0",
+              level1="pool 1", level2="pool 2", level3="pool 3", level4="pool 4",
+              importance1="importance 1", importance2="importance 2",
+              importance3="importance 3", importance4="importance 4")
+PYRAMID: Steps = (_POOLS, *map(_pool, range(1, LEVELS + 1)),
+                  *(one for i in range(LEVELS, -1, -1) for one in _filtering(i)))
+"""Filters 'pool 0' into 'filtered 0'."""
+
+PREPARE: Steps = (
+    step(DILATE),
+    step(MEANS, "doubts"),
+    step(HISTORY, "moves"),
+    step(KEEP, "masked"),
+    step(FEATURE, unless="stored"),
+    step(STORED_FEATURE, "stored"),
+    step(GUIDE, "guided"),
+    step(TRUST, "guided"),
+    step(MIRROR, "mirrored"))
+ACCUMULATE_AND_FILTER: Steps = (
+    step(ACCUMULATE, level="level 0"),
+    *PYRAMID,
+    step(REMODULATE, "plain", "shaded", filtered="filtered 0", radiance="radiance plain"),
+    step(REMODULATE_BOTH, "guides", filtered="filtered 0", radiance="radiance guides"),
+    step(REMODULATE_BOTH, "unscaled", filtered="filtered 0", radiance="radiance unscaled"))
+ENLARGE: Steps = (
+    step(UPSAMPLE, "plain", "coded", radiance="radiance plain"),
+    step(CODES_PLAIN, "plain coded", radiance="radiance plain"),
+    step(UPSAMPLE_GUIDED, "guides", "coded", radiance="radiance guides"),
+    step(CODES_GUIDED, "guides coded", radiance="radiance guides"),
+    step(UPSAMPLE_UNSCALED, "unscaled", "coded", radiance="radiance unscaled"),
+    step(CODES_UNSCALED, "unscaled coded", radiance="radiance unscaled"),
+    step(BLEND_PICTURE, "given", picture=f"head {PICTURE}", controls=f"head {CONTROLS}"),
+    step(OPEN_ERROR, "error", log_error=f"head {ERROR}"))
+FRAME: dict[str, Steps] = {"scale": (step(SCALE), step(SPREAD_MASK, "reactive"))}
+"""What windows need of the whole frame, by the labels of encoders."""
+NETWORK = "network"
+SOMETIMES = frozenset({"moves", "masked", ERROR})
+"""Words that hold in some frames of a window and not in others."""
+WINDOW: dict[str, Steps] = {
+    "prepare": PREPARE,
+    NETWORK: (),
+    "filter": ACCUMULATE_AND_FILTER,
+    "upsample": ENLARGE}
+"""The picture of a window, by the labels of encoders. In between its network runs, with what packs and
+opens."""
+LAYERS: dict[str, Steps] = {"parts": (
+    each(REFLECT, "filtered divided"),
+    each(ACCUMULATE_PART, "filtered"),
+    *(one._replace(when=one.when | {"filtered"}) for one in PYRAMID),
+    each(REMODULATE, "filtered", filtered="filtered 0"),
+    step(UPSAMPLE_LIGHT))}
+"""Layers of one stack, by the picture's filters."""
+ALPHA: dict[str, Steps] = {"alpha": (
+    step(LEVEL, level="pool 0"),
+    *PYRAMID,
+    step(ENLARGE_ALPHA, filtered="filtered 0"))}
+CLASSIC: dict[str, Steps] = {
+    "prepare": (step(DILATE), step(KEEP, "masked"), step(GATHER, light="smooth 0")),
+    "filter": tuple(
+        step(ATROUS, light=f"smooth {k % 2}", smooth=f"smooth {1 - k % 2}", step=f"step {far}")
+        for k, far in enumerate(STEPS)),
+    "upsample": (step(RESOLVE, light=f"smooth {len(STEPS) % 2}"),)}
+
+Buffers = Mapping[str, Tensor]
 WHOLE, HALF, CODED = range(3)
 """Forms of the fine head: in float32, in half precision beside such a network on a GPU, and made row by row in the
 kernels that read it, which leaves its last channels alone in memory."""
-IN_CODES = {"filter 0": FILTER_CODES, f"upsample {PLAIN}": CODES_PLAIN, f"upsample {GUIDED}": CODES_GUIDED,
-            f"upsample {UNSCALED}": CODES_UNSCALED}
-"""Kernels that take the place of those in these tables where the fine head is made of codes."""
 MOST_PLACES = 64
 """Windows of one size whose positions stay on the device."""
-Tables = dict[int, dict[str, ArgumentTable]]
-"""Argument tables by name, for each form of the fine head."""
-OWN = ("reflectance", "accumulate", "remodulate")
-"""Kernels that run on each layer by itself."""
 TOGETHER = 3
 """Layers that are filtered at once: of each further one the weights are not read from memory again, but its
 intermediate results take memory."""
 
 
-class Graph:
-    """Pipeline states, tensors and argument tables for windows of one size.
+class Each(NamedTuple):
+    """One layer among those that are filtered at once: its own words and buffers."""
 
-    A guided graph's models also read guides, and colour gets the guides' reflectance at output size, as far as it is
-    trusted. A reactive graph can use masks of how much history counts. Models that doubt planes also read their mean,
-    and some read planes that follow mirrors and glass, or say how far off each pixel is expected to be.
-    Where layers are filtered, too, the `whole` fine head is kept for them.
-    """
+    words: frozenset[str] = frozenset()
+    buffers: Buffers = MappingProxyType({})
 
-    def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
-                 reactive: bool = False, whole: bool = False) -> None:
-        self._device, self._window, self._guided, self._reactive = device, window, guided, reactive
-        dims = free_dimensions(window.padded_size)
-        networks = {model: load_network(device, model, dims) for model in models}
-        for state in networks.values():
-            check_bindings(state)
-        self._forms = {model: HALF if is_half(state) else CODED if state.products and not whole else WHOLE
-                       for model, state in networks.items()}
-        self._tables = self._new_tables()
-        self._places: LRUCache[Window, dict[str, dict[str, Tensor]]] = LRUCache(MOST_PLACES)
-        between = cache(self._new)  # of several networks only one runs in a frame
-        self._heads = {model: self._heads_of(state, self._forms[model], between) for model, state in networks.items()}
-        self._doubting = {model for model in models if doubts_planes(model)}
-        self._ends = {model: self._end_of(model) for model in models}
-        self._reads = {model: seen_by(state) for model, state in networks.items()}
-        self._make_tensors()
-        self._seen |= {name: between(name, state.shapes[name], "float16") for model, state in networks.items()
-                       for name in IN_HALF[FEATURE].writes if self._forms[model] == HALF and name in state.shapes}
-        self._make_tables(all(map(codes_features, networks.values())))
-        self._networks = {model: Network(state, self._seen, self._heads[model], between)
-                          for model, state in networks.items()}
 
-    def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Mapping[str, Tensor],
-               moves: bool, masked: bool) -> None:
-        """Record the work on a window of this graph's size.
+ONCE = (Each(),)
 
-        Args:
-            tensors: the frame's planes, its history, whatever exists once a frame, and the outputs, by the kernels'
-                names.
-            moves: whether the last output has to be warped to this frame. If not, it is read as it is, in a window of
-                the whole frame, because it is in place already or does not matter.
-            masked: whether the reactive masks of this frame and the last say how much of the history each pixel keeps.
-                If not, one number says it for all.
 
-        The expected error is written where `tensors` has a place for it.
-        """
-        warped = self._made["warped"] if moves else tensors["history"]
-        end, doubts = self._ends[model], model in self._doubting
-        known = {"warped": warped, "keep": self._keep(tensors, masked), "fine": self._heads[model]["fine"],
-                 "means": self._means if doubts else self._no_means, **self._networks[model].coded}
-        tables = self._tables[self._forms[model]] | self._networks[model].looks
-        if ERROR in tensors:
-            known |= {"log_error": self._heads[model][ERROR]}
-        if end == GIVEN:
-            known |= {name: self._heads[model][name] for name in (PICTURE, CONTROLS)}
-        self._bind(tables, {**self._made, **tensors, **known}, self._place(window), self._heads[model])
-        with commands.compute_encoder("prepare") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            self._run(encoder, tables, "dilate", *("means",) * doubts)
-            looks = (*self._looks, *("mirrored",) * ("mirrored" in self._reads[model]))
-            for names in (("history",) * moves + ("keep",) * masked, looks):
-                encoder.barrier()
-                self._run(encoder, tables, *names)
-        self._networks[model].encode(commands)
-        with commands.compute_encoder("filter") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            for i, name in enumerate(self._order_of(end, tables)):
-                if i:
-                    encoder.barrier()
-                self._run(encoder, tables, name)
-        with commands.compute_encoder("upsample") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            self._run(encoder, tables, f"upsample {end}", *(ERROR,) * (ERROR in tensors))
+def run_steps(commands: CommandBuffer, table: Mapping[str, Steps], words: frozenset[str],
+              buffers: Buffers, half: bool = False, each: Sequence[Each] = ONCE) -> None:
+    """Record the steps of a table that run where these words hold, on these buffers; in `half` precision
+    where a kernel has that form."""
+    for label, steps in table.items():
+        for one in steps:
+            kernel = IN_HALF.get(one.kernel, one.kernel) if half else one.kernel
+            for layer in each if one.each else ONCE:
+                held = words | layer.words
+                if one.when <= held and not one.unless & held:
+                    names = {binding: one.buffers.get(binding, binding)
+                             for binding in kernel.reads + kernel.writes}
+                    commands.run(kernel, label, **{
+                        binding: layer.buffers[name] if name in layer.buffers else buffers[name]
+                        for binding, name in names.items()})
 
-    def _order_of(self, end: str, tables: Mapping[str, ArgumentTable]) -> tuple[str, ...]:
-        """Tables between the network and the enlargement."""
-        if end == GIVEN:
-            return ("accumulate",)
-        *order, last = self._filter_order
-        shaded = f"{last} {end}"
-        return (*order, *((shaded,) if shaded in tables else (last, f"remodulate {end}")))
 
-    def _keep(self, tensors: Mapping[str, Tensor], masked: bool) -> Tensor:
-        """How much of the history counts, pixel by pixel or in one number."""
-        return self._made["keep"] if masked else tensors["keep"]
-
-    def _end_of(self, model: str) -> str:
-        frame = self._window.frame
-        unscaled = (frame.h, frame.w) == (frame.height, frame.width)
-        if PICTURE in self._heads[model]:
-            return GIVEN
-        return GUIDED if self._guided else UNSCALED if unscaled and model in self._doubting else PLAIN
-
-    def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
-        return self._device.heap.transient(name, shape, dtype)
-
-    def _heads_of(self, network: PipelineState, form: int, between: Callable[..., Tensor]) -> dict[str, Tensor]:
-        """The heads that the filters read, by name; for levels that the network does not compute, their constants."""
-        shapes, products = heads_of(network), f"{PRODUCTS}fine"
-        dtype = "float16" if form == HALF else "float32"
-        if form == CODED:
-            shapes["fine"] = (1, FINE - MIX, *shapes["fine"][2:])
-        heads = {name: between(name, shape, dtype) for name, shape in shapes.items()}
-        if products in network.shapes and self._device.runs_rows:
-            behind = SOME * math.prod(shapes["fine"][2:])
-            both = between("fine and its products", (behind + math.prod(shapes["fine"]),))
-            heads |= {"fine": both.view("fine", shapes["fine"]),
-                      products: both.view(products, network.shapes[products], behind, "int32")}
-        if PICTURE in heads:
-            heads["fine"] = heads[CONTROLS]
-        for name, values in alike_heads(network).items():
-            size = (1, values.shape[1], *self._window.level(int(name[-1])))
-            heads[name] = upload(self._device.heap, name, np.broadcast_to(values, size).astype(dtype), dtype)
-        return heads
-
-    def _make_tensors(self) -> None:
-        rows, columns, out = self._window.rows, self._window.columns, self._window.out
-        self._made = {"moved": self._new("moved", (rows, columns, 2)), "past": self._new("past", (rows, columns, 4)),
-                      "warped": self._new("warped", (out.rows, out.columns, 3)),
-                      "factor": self._new("factor", (rows, columns, 3))}
-        self._no_means = upload(self._device.heap, "no means", np.zeros((1, 1, 3), np.float32))
-        self._means = self._new("means", (*means_size(rows, columns), 3)) if self._doubting else self._no_means
-        if self._guided:
-            cells = (-(-side // TRUST_CELL) for side in (rows, columns))
-            self._made["trust"] = self._new("trust", (*cells, 1))
-        if self._reactive:
-            self._made["keep"] = self._new("keep", (rows, columns, 1))
-        seen = {name: shape for reads in self._reads.values() for name, shape in reads.items()}
-        self._seen = {name: self._new(name, shape) for name, shape in seen.items()}
-
-    def _new_tables(self) -> Tables:
-        return {form: {} for form in self._forms.values()}
-
-    def _make_tables(self, coded: bool) -> None:
-        level = self._window.level
-        accumulated = self._new("level 0", (4, *level(0)))
-        self._importance = [accumulated.view("importance 0", (1, *level(0)), 3 * math.prod(level(0)))]
-        self._importance += [self._new(f"importance {i}", (1, *level(i))) for i in range(1, LEVELS + 1)]
-        size = self._window.rows + 2, self._window.columns + 2
-        self._radiance = {end: self._new(f"radiance {end}", (3 if end == PLAIN else 6, *size))
-                          for end in set(self._ends.values()) - {GIVEN}}
-        made = self._made | self._seen | {"level": accumulated}
-        if self._radiance:
-            light = accumulated.view("light 0", (3, *level(0)))
-            filtered, self._filter_order = self._make_pyramid(self._tables, light, self._radiance.get(PLAIN))
-            made["filtered"] = filtered
-        self._looks = ("features", "guides", "trust") if self._guided else ("features",)
-        kernels = (("dilate", DILATE), ("history", HISTORY), ("accumulate", ACCUMULATE), ("features", FEATURE))
-        for name, kernel in kernels[:3] if coded else kernels:
-            self._table(self._tables, name, kernel, **made)
-        for end, radiance in self._radiance.items():
-            for name, kernel in zip(("remodulate", "upsample"), ENDS[end], strict=True):
-                self._table(self._tables, f"{name} {end}", kernel, **made, radiance=radiance)
-        if GIVEN in self._ends.values():
-            self._table(self._tables, f"upsample {GIVEN}", BLEND_PICTURE, **made)
-        if self._doubting:
-            self._table(self._tables, "means", MEANS, means=self._means)
-        if self._reactive:
-            self._table(self._tables, "keep", KEEP, **made)
-        if "mirrored" in self._seen:
-            self._table(self._tables, "mirrored", MIRROR, **made)
-        if any(ERROR in heads for heads in self._heads.values()):
-            self._table(self._tables, ERROR, OPEN_ERROR)
-        if self._guided:
-            self._table(self._tables, "guides", GUIDE, **made)
-            self._table(self._tables, "trust", TRUST, **made)
-
-    def _make_pyramid(self, tables: Tables, light: Tensor, radiance: Tensor | None = None) -> tuple[Tensor, list[str]]:
-        """Make the tables of the filters, for light (3 n, hp, wp) of the picture or of n parts; returns the filtered
-        light, and the tables' order behind 'accumulate'. On a GPU a filter of radiance takes the place of the last."""
-        def new(name: str, i: int) -> Tensor:
-            return self._new(f"{name} {i}", (light.shape[0], *self._window.level(i)))
-
-        levels, order = [light, *(new("level", i) for i in range(1, LEVELS + 1))], ["accumulate"]
-        if self._device.gpu:
-            both = {"level": levels, "importance": self._importance}
-            named = {f"{name}{i}": some[i] for name, some in both.items() for i in range(1, LEVELS + 1)}
-            self._table(tables, "pools", POOLS, finer=light, finer_importance=self._importance[0], **named)
-            order.append("pools")
-        for i in range(1, 1 if self._device.gpu else LEVELS + 1):
-            self._table(tables, f"pool {i}", POOL, finer=levels[i - 1], finer_importance=self._importance[i - 1],
-                        level=levels[i], importance=self._importance[i])
-            order.append(f"pool {i}")
-        filtered = [new("filtered", i) for i in range(LEVELS + 1)]
-        for i in range(LEVELS, -1, -1):
-            order.append(f"filter {i}")
-            if i < LEVELS and self._device.gpu:
-                mixes = {"coarse": filtered[i + 1], "level": levels[i]}
-                self._table(tables, f"filter {i}", FILTER_MIXED, **mixes, filtered=filtered[i])
-                if i == 0 and radiance:
-                    self._table(tables, f"filter 0 {PLAIN}", FILTER_SHADED, **mixes, factor=self._made["factor"],
-                                radiance=radiance)
-                continue
-            mixed = levels[i] if i == LEVELS else new("mixed", i)
-            self._table(tables, f"filter {i}", FILTER, mixed=mixed, filtered=filtered[i])
-            if i < LEVELS:
-                self._table(tables, f"mix {i}", MIX_LEVELS, coarse=filtered[i + 1], level=levels[i], mixed=mixed)
-                order.insert(-1, f"mix {i}")
-        return filtered[0], order
-
-    def _table(self, tables: Tables, name: str, kernel: Kernel, **tensors: Tensor) -> None:
-        """Make the argument tables of a kernel, with the tensors that the kernel names."""
-        for form, named in tables.items():
-            taken = IN_HALF.get(kernel, kernel) if form == HALF else kernel
-            taken = IN_CODES.get(name, taken) if form == CODED else taken
-            named[name] = ArgumentTable(self._device.compute_state(taken))
-            for binding in taken.reads + taken.writes:
-                if binding in tensors:
-                    named[name][binding] = tensors[binding]
-
-    def _place(self, window: Window) -> dict[str, dict[str, Tensor]]:
-        """Tensors that describe a window to the kernels, by table and binding: see `Window.places_of_tables`."""
-        return self._places.get_or_make(window, lambda: {
-            table: {name: upload(self._device.heap, name, array) for name, array in values.items()}
-            for table, values in window.places_of_tables().items()})
-
-    def _bind(self, tables: Mapping[str, ArgumentTable], tensors: Mapping[str, Tensor],
-              places: Mapping[str, Mapping[str, Tensor]], heads: Mapping[str, Tensor]) -> None:
-        """Bind what changes from window to window, from frame to frame and from layer to layer."""
-        for name, table in tables.items():
-            step = " ".join(name.split()[:2])
-            known = {**tensors, **places.get(step, places[""])}
-            if step.startswith(("filter ", "mix ")):
-                head = "fine" if step[-1] == "0" else f"level{step[-1]}"
-                if head not in heads:  # of another model's filters
-                    continue
-                known["heads"] = heads[head]
-            for binding in table.state.bindings:
-                if binding.name in known:
-                    table[binding.name] = known[binding.name]
-
-    def _run(self, encoder: ComputeEncoder, tables: Mapping[str, ArgumentTable], *names: str) -> None:
-        for name in names:
-            encoder.dispatch(tables[name].state, tables[name])
+def kernels_of(table: Mapping[str, Steps], words: frozenset[str],
+               half: bool = False) -> list[Kernel]:
+    """The kernels that may run where no more than these words hold."""
+    found = [one.kernel for steps in table.values() for one in steps
+             if one.when <= words and not one.unless & words - SOMETIMES]
+    return [IN_HALF.get(kernel, kernel) if half else kernel for kernel in found]
 
 
 @dataclass
@@ -346,104 +290,223 @@ class Layer:
         return alike and self.stack is other.stack and self.place == other.place + 1
 
 
-class LayerGraph(Graph):
-    """A graph that also filters layers, several at once.
+class WindowGraph:
+    """The networks, and the buffers of the tables' steps, for windows of one size.
 
-    Their tensors and tables are made when as many layers are first filtered at once.
+    A guided one's models also read guides. A reactive one can use masks of how much history counts.
+    Models that doubt planes also read their mean. Where layers are filtered, too, the `whole` fine head is
+    kept for them.
     """
 
-    _nothing: Mapping[str, Tensor] | None = None
+    def __init__(self, device: Device, window: Window, models: Sequence[str], guided: bool = False,
+                 reactive: bool = False, whole: bool = False) -> None:
+        self._device, self._window, self._guided = device, window, guided
+        dims = free_dimensions(window.padded_size)
+        states = {model: load_network(device, model, dims) for model in models
+                  if model != CLASSIC_MODEL}
+        for state in states.values():
+            check_bindings(state)
+        self._forms = {
+            model: HALF if is_half(state) else CODED if state.products and not whole else WHOLE
+            for model, state in states.items()}
+        self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
+        between = cache(self._new)  # of several networks only one runs in a frame
+        self._heads = {model: self._heads_of(state, self._forms[model], between)
+                       for model, state in states.items()}
+        self._doubting = {model for model in states if doubts_planes(model)}
+        self._ends = {model: self._end_of(model) for model in states}
+        self._made = self._classic_buffers() if CLASSIC_MODEL in models else {}
+        self._made |= self._common_buffers(reactive)
+        seen = {name: shape for state in states.values() for name, shape in seen_by(state).items()}
+        read = {name: self._new(name, shape) for name, shape in seen.items()}
+        read |= {name: between(name, state.shapes[name], "float16")
+                 for model, state in states.items() if self._forms[model] == HALF
+                 for name in IN_HALF[FEATURE].writes if name in state.shapes}
+        if states:
+            self._made |= read | self._pyramid_buffers(self._new("level 0", (4, *window.level(0))))
+        self._networks = {model: Network(state, read, self._heads[model], between)
+                          for model, state in states.items()}
+        self._words = {model: self._words_of(model, state) for model, state in states.items()}
+        may = SOMETIMES - (frozenset() if reactive else {"masked"})
+        for model, words in self._words.items():
+            some = may if ERROR in self._heads[model] else may - {ERROR}
+            device.make_ready(*kernels_of(WINDOW, words | some, self._forms[model] == HALF))
+        if CLASSIC_MODEL in models:
+            device.make_ready(*kernels_of(CLASSIC, may))
+        self._layer_buffers: dict[int, dict[str, Tensor]] = {}
 
-    def encode_layers(self, commands: CommandBuffer, window: Window, model: str, tensors: Mapping[str, Tensor],
-                      masked: bool, layers: Sequence[Layer]) -> None:
-        """Record the work on layers, after the picture's; the arguments are the same."""
-        if self._nothing is None:
-            nothing = {"past": np.zeros(self._made["past"].shape, np.float32), "keep": np.zeros((1, 1, 1), np.float32)}
-            self._nothing = {name: upload(self._device.heap, f"no {name}", array) for name, array in nothing.items()}
-            self._stacks: dict[int, dict[str, Tensor]] = {}
-            self._layer_tables: dict[int, Tables] = {}
-            self._alpha_order: list[str] = []
-        whole = window == Window.whole(window.frame)
-        for some in _together(layers, TOGETHER if whole and not self._device.scratch else 1):
-            past = {"past": self._made["past"], "keep": self._keep(tensors, masked)}
-            seen = {**tensors, **(self._nothing if some[0].alone else past)}
-            if some[0].name == ALPHA_LAYER:
-                self._encode_alpha(commands, some[0], window, model, tensors)
-                continue
-            self._encode_some(commands, some, window, model, seen)
+    def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Buffers,
+               moves: bool, masked: bool, layers: Sequence[Layer] = ()) -> None:
+        """Record the work on a window of this graph's size.
 
-    def _encode_some(self, commands: CommandBuffer, layers: Sequence[Layer], window: Window, model: str,
-                     tensors: Mapping[str, Tensor]) -> None:
-        first, count = layers[0], len(layers)
-        if count not in self._layer_tables:
-            self._make_layer_tables(count)
-        tables, stacks = self._layer_tables[count][self._forms[model]], self._stacks[count]
-        accumulates, heads = "part" in first.tensors, self._heads[model]
-        self._bind(tables, {**tensors, **first.tensors, "fine": heads["fine"]}, self._place(window), heads)
-        light, end = tensors[f"light {first.name}"], tables["upsample"]
-        end["last"] = some_of(first.last, first.place, count)
-        end["radiance"] = stacks["radiance"] if accumulates else self._shaded(model)
-        end["light"] = some_of(first.stack, first.place, count) if count > 1 else alone(light)
-        each = [self._share(layer, i, stacks, tensors) for i, layer in enumerate(layers)] if accumulates else []
-        with commands.compute_encoder("parts") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            for name in ("reflectance", *self._filter_order, "remodulate") if accumulates else ():
-                for own in each if name in OWN else ({},):
-                    if name != "reflectance" or "diffuse_albedo" in own:
-                        self._run_with(encoder, tables[name], own)
-                encoder.barrier()
-            self._run_with(encoder, end, {})
+        Args:
+            tensors: the frame's planes, its history, whatever exists once a frame, and the outputs, by the kernels'
+                names.
+            moves: whether the last output has to be warped to this frame. If not, it is read as it is, in a window of
+                the whole frame, because it is in place already or does not matter.
+            masked: whether the reactive masks of this frame and the last say how much of the history each pixel keeps.
+                If not, one number says it for all.
+            layers: what is filtered beside the picture.
 
-    def _encode_alpha(self, commands: CommandBuffer, layer: Layer, window: Window, model: str,
-                      tensors: Mapping[str, Tensor]) -> None:
-        """Filter and enlarge the mean of alpha's samples."""
-        if not self._alpha_order:
-            self._alpha_tables, level = self._new_tables(), self._new("level of alpha", (1, *self._window.level(0)))
-            filtered, self._alpha_order = self._make_pyramid(self._alpha_tables, level)
-            self._table(self._alpha_tables, "level", LEVEL, level=level)
-            self._table(self._alpha_tables, "enlarge", ENLARGE_ALPHA, filtered=filtered)
-        tables, heads = self._alpha_tables[self._forms[model]], self._heads[model]
-        self._bind(tables, {**tensors, **layer.tensors, "fine": heads["fine"]}, self._place(window), heads)
-        tables["enlarge"]["enlarged"] = tensors[f"light {layer.name}"]
-        with commands.compute_encoder("alpha") as encoder:
-            for i, name in enumerate(("level", *self._alpha_order[1:], "enlarge")):
-                encoder.barrier(**{} if i else {"after": "compute", "before": "compute"})
-                self._run(encoder, tables, name)
+        The expected error is written where `tensors` has a place for it.
+        """
+        now = {"moves": moves, "masked": masked, ERROR: ERROR in tensors}
+        words = frozenset(word for word, holds in now.items() if holds)
+        own = {"keep": self._made["keep"] if masked else tensors["keep"]}
+        if model == CLASSIC_MODEL:
+            buffers = ChainMap(own, self._place(window), dict(tensors), self._made)
+            run_steps(commands, CLASSIC, words, buffers)
+            return
+        network, heads = self._networks[model], self._heads[model]
+        own |= {"warped": self._made["warped"] if moves else tensors["history"],
+                "means": self._made["means" if model in self._doubting else "no means"],
+                "fine": heads["fine"], **{f"head {name}": head for name, head in heads.items()},
+                **network.coded, **network.stored}
+        buffers = ChainMap(own, self._place(window), dict(tensors), self._made)
+        words, half = words | self._words[model], self._forms[model] == HALF
+        for label, steps in WINDOW.items():
+            if label == NETWORK:
+                network.encode(commands)
+            run_steps(commands, {label: steps}, words, buffers, half)
+        at_once = window == Window.whole(window.frame) and not self._device.scratch
+        for some in _together(layers, TOGETHER if at_once else 1):
+            self._encode_layers(commands, some, model, buffers, half)
 
-    def _share(self, layer: Layer, i: int, stacks: Mapping[str, Tensor],
-               tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def _encode_layers(self, commands: CommandBuffer, layers: Sequence[Layer], model: str,
+                       buffers: ChainMap[str, Tensor], half: bool) -> None:
+        """Record the work on layers that are filtered at once, after the picture's."""
+        first, words = layers[0], self._words[model] & {"gpu"}
+        seen = buffers.new_child({**(self._nothing if first.alone else {}), **first.tensors})
+        if first.name == ALPHA_LAYER:
+            own = self._layers_of(1, 1) | {"enlarged": buffers[f"light {first.name}"]}
+            run_steps(commands, ALPHA, words, seen.new_child(own), half)
+            return
+        own = dict(self._layers_of(len(layers), 3))
+        filtered, light = "part" in first.tensors, buffers[f"light {first.name}"]
+        shares = [self._share(layer, i, own, buffers) for i, layer in enumerate(layers) if filtered]
+        own["last"] = some_of(first.last, first.place, len(layers))
+        own["light"] = alone(light)
+        if len(layers) > 1:
+            own["light"] = some_of(first.stack, first.place, len(layers))
+        if filtered:
+            words |= {"filtered"}
+        else:
+            own["radiance"] = self._shaded(model)
+        run_steps(commands, LAYERS, words, seen.new_child(own), half, shares)
+
+    def _share(self, layer: Layer, i: int, stacks: Buffers, buffers: Buffers) -> Each:
         """What kernels of one layer read and write, the `i`-th of some."""
-        own = layer.tensors
-        return own | {"part_level": some_of(stacks["level"], 3 * i, 3), "next_part": tensors[f"next_part {layer.name}"],
-                      **{name: some_of(stacks[name], 3 * i, 3) for name in ("filtered", "radiance")},
-                      "factor": one_of(stacks["factor"], i) if "diffuse_albedo" in own else self._made["factor"]}
+        divided = "diffuse_albedo" in layer.tensors
+        own = {**layer.tensors, "part_level": some_of(stacks["pool 0"], 3 * i, 3),
+               "next_part": buffers[f"next_part {layer.name}"],
+               **{name: some_of(stacks[name], 3 * i, 3) for name in ("filtered 0", "radiance")},
+               "factor": one_of(stacks["factor"], i) if divided else self._made["factor"]}
+        return Each(frozenset({"divided"} if divided else ()), own)
 
-    def _run_with(self, encoder: ComputeEncoder, table: ArgumentTable, own: Mapping[str, Tensor]) -> None:
-        """Record a kernel, with one layer's own tensors in its table."""
-        for binding in table.state.bindings:
-            if binding.name in own:
-                table[binding.name] = own[binding.name]
-        encoder.dispatch(table.state, table)
+    def _words_of(self, model: str, state: PipelineState) -> frozenset[str]:
+        """The words that hold for a model in every frame."""
+        end, network = self._ends[model], self._networks[model]
+        holding = {end: True, "guided": self._guided, "mirrored": "mirrored" in seen_by(state),
+                   "doubts": model in self._doubting, "stored": bool(network.stored),
+                   "coded": self._forms[model] == CODED, "gpu": bool(self._device.gpu),
+                   "shaded": bool(self._device.gpu) and end == PLAIN}
+        return frozenset(word for word, holds in holding.items() if holds)
+
+    def _end_of(self, model: str) -> str:
+        frame = self._window.frame
+        unscaled = (frame.h, frame.w) == (frame.height, frame.width)
+        if PICTURE in self._heads[model]:
+            return GIVEN
+        return GUIDES if self._guided else UNSCALED if unscaled and model in self._doubting else PLAIN
+
+    def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
+        return self._device.heap.transient(name, shape, dtype)
+
+    def _heads_of(self, network: PipelineState, form: int, between: Callable[..., Tensor]) -> dict[str, Tensor]:
+        """The heads that the filters read, by name; for levels that the network does not compute, their constants."""
+        shapes, products = heads_of(network), f"{PRODUCTS}fine"
+        dtype = "float16" if form == HALF else "float32"
+        if form == CODED:
+            shapes["fine"] = (1, FINE - MIX, *shapes["fine"][2:])
+        heads = {name: between(name, shape, dtype) for name, shape in shapes.items()}
+        if products in network.shapes and self._device.runs_rows:
+            behind = SOME * math.prod(shapes["fine"][2:])
+            both = between("fine and its products", (behind + math.prod(shapes["fine"]),))
+            heads |= {"fine": both.view("fine", shapes["fine"]),
+                      products: both.view(products, network.shapes[products], behind, "int32")}
+        if PICTURE in heads:
+            heads["fine"] = heads[CONTROLS]
+        for name, values in alike_heads(network).items():
+            size = (1, values.shape[1], *self._window.level(int(name[-1])))
+            heads[name] = upload(self._device.heap, name, np.broadcast_to(values, size).astype(dtype), dtype)
+        return heads
+
+    def _common_buffers(self, reactive: bool) -> dict[str, Tensor]:
+        """Buffers that the steps before the network write, and constants in their place."""
+        rows, columns, out = self._window.rows, self._window.columns, self._window.out
+        cells = (-(-side // TRUST_CELL) for side in (rows, columns))
+        shapes: dict[str, tuple[int, ...]] = {
+            "moved": (rows, columns, 2), "past": (rows, columns, 4), "warped": (out.rows, out.columns, 3),
+            "factor": (rows, columns, 3)}
+        shapes |= {"means": (*means_size(rows, columns), 3)} if self._doubting else {}
+        shapes |= {"trust": (*cells, 1)} if self._guided else {}
+        shapes |= {"keep": (rows, columns, 1)} if reactive else {}
+        made = {name: self._new(name, shape) for name, shape in shapes.items()}
+        return made | {"no means": upload(self._device.heap, "no means", np.zeros((1, 1, 3), np.float32))}
+
+    def _pyramid_buffers(self, accumulated: Tensor) -> dict[str, Tensor]:
+        """Buffers of the steps behind the network."""
+        level, size = self._window.level, (self._window.rows + 2, self._window.columns + 2)
+        made = {"level 0": accumulated, "pool 0": accumulated.view("light 0", (3, *level(0))),
+                "importance 0": accumulated.view("importance 0", (1, *level(0)), 3 * math.prod(level(0)))}
+        made |= {f"importance {i}": self._new(f"importance {i}", (1, *level(i))) for i in range(1, LEVELS + 1)}
+        made |= {f"radiance {end}": self._new(f"radiance {end}", (3 if end == PLAIN else 6, *size))
+                 for end in set(self._ends.values()) - {GIVEN}}
+        return made | self._levels(3)
+
+    def _levels(self, channels: int) -> dict[str, Tensor]:
+        """Levels of the pyramid above the first, mixed and filtered ones."""
+        counts = {"pool": range(1, LEVELS + 1), "mixed": range(LEVELS), "filtered": range(LEVELS + 1)}
+        return {f"{name} {i}": self._new(f"{name} {i}", (channels, *self._window.level(i)))
+                for name, levels in counts.items() for i in levels}
+
+    def _layers_of(self, count: int, channels: int) -> dict[str, Tensor]:
+        """Buffers for as many layers, made when as many are first filtered at once: of alpha, with one channel, or of
+        light."""
+        if count * channels not in self._layer_buffers:
+            rows, columns = self._window.rows, self._window.columns
+            made = self._layer_buffers[count * channels] = {
+                "pool 0": self._new("level of layers", (count * channels, *self._window.level(0))),
+                **self._levels(count * channels)}
+            if channels == 3:
+                made["radiance"] = self._new("radiance of parts", (3 * count, rows + 2, columns + 2))
+                made["factor"] = self._new("factors of parts", (count, rows, columns, 3))
+        return self._layer_buffers[count * channels]
+
+    def _classic_buffers(self) -> dict[str, Tensor]:
+        rows, columns = self._window.rows, self._window.columns
+        distances = {f"step {far}": upload(self._device.heap, "step", np.full(1, far, np.float32))
+                     for far in STEPS}
+        return {"surface": self._new("surface", (6, rows, columns)), **distances,
+                **{f"smooth {k}": self._new(f"light {k}", (4, rows, columns)) for k in range(2)}}
+
+    @cached_property
+    def _nothing(self) -> dict[str, Tensor]:
+        """In place of a history, for layers without one."""
+        arrays = {"past": np.zeros(self._made["past"].shape, np.float32), "keep": np.zeros((1, 1, 1), np.float32)}
+        return {name: upload(self._device.heap, f"no {name}", array) for name, array in arrays.items()}
 
     def _shaded(self, model: str) -> Tensor:
         """The picture's radiance with the reflectance of the render size."""
         end = self._ends[model]
-        radiance = self._radiance[end]
+        radiance = self._made[f"radiance {end}"]
         size = (3, *radiance.shape[1:])
         return radiance if end == PLAIN else radiance.view("radiance", size, math.prod(size))
 
-    def _make_layer_tables(self, count: int) -> None:
-        """Make tensors and tables for as many layers."""
-        rows, columns = self._window.rows, self._window.columns
-        stacks = self._stacks[count] = {
-            "level": self._new("level of parts", (3 * count, *self._window.level(0))),
-            "radiance": self._new("radiance of parts", (3 * count, rows + 2, columns + 2)),
-            "factor": self._new("factors of parts", (count, rows, columns, 3))}
-        tables = self._layer_tables[count] = self._new_tables()
-        for name, kernel in (("reflectance", REFLECT), ("accumulate", ACCUMULATE_PART), ("remodulate", REMODULATE),
-                             ("upsample", UPSAMPLE_LIGHT)):
-            self._table(tables, name, kernel, moved=self._made["moved"])
-        stacks["filtered"], _ = self._make_pyramid(tables, stacks["level"])
+    def _place(self, window: Window) -> dict[str, Tensor]:
+        """Tensors that describe a window to the kernels, by buffer: see `Window.places`."""
+        return self._places.get_or_make(window, lambda: {
+            name: upload(self._device.heap, name, array) for name, array in window.places().items()})
 
 
 def _together(layers: Sequence[Layer], most: int) -> list[list[Layer]]:
@@ -455,59 +518,3 @@ def _together(layers: Sequence[Layer], most: int) -> list[list[Layer]]:
         else:
             found.append([layer])
     return found
-
-
-class ClassicGraph:
-    """Tensors and argument tables of the classical filter for windows of one size, used like a `Graph` of networks.
-
-    It reads and writes the same history, but filters no layers and reads no guides.
-    """
-
-    def __init__(self, device: Device, window: Window, reactive: bool = False) -> None:
-        self._device = device
-        rows, columns = window.rows, window.columns
-        new = device.heap.transient
-        made = {"moved": new("moved", (rows, columns, 2)),
-                "factor": new("factor", (rows, columns, 3)), "surface": new("surface", (6, rows, columns)),
-                **({"keep": new("keep", (rows, columns, 1))} if reactive else {})}
-        lights = [new(f"light {k}", (4, rows, columns)) for k in range(2)]
-        self._made = made
-        kernels = {"dilate": DILATE, **({"keep": KEEP} if reactive else {}), "gather": GATHER, "resolve": RESOLVE}
-        self._tables = {name: ArgumentTable(device.compute_state(kernel)) for name, kernel in kernels.items()}
-        self._order: list[str] = []
-        for k, step in enumerate(STEPS):
-            name = f"a-trous {step}"
-            self._order.append(name)
-            far = upload(device.heap, "step", np.full(1, step, np.float32))
-            self._tables[name] = ArgumentTable(device.compute_state(ATROUS), {
-                "light": lights[k % 2], "smooth": lights[1 - k % 2], "step": far})
-        self._ends = {"gather": lights[0], "resolve": lights[len(STEPS) % 2]}
-        self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
-
-    def encode(self, commands: CommandBuffer, window: Window, tensors: Mapping[str, Tensor], masked: bool) -> None:
-        """Record the work on a window; the arguments are those of `Graph.encode`."""
-        kept = self._made["keep"] if masked else tensors["keep"]
-        known = {**tensors, **self._made, **self._place(window), "keep": kept}
-        for name, table in self._tables.items():
-            seen = {**known, "light": self._ends[name]} if name in self._ends else known
-            fixed = ("light", "smooth", "step") if name in self._order else ()
-            if name == "keep" and not masked:
-                continue
-            for binding in table.state.bindings:
-                if binding.name not in fixed:
-                    table[binding.name] = seen[binding.name]
-        stages = [("prepare", [["dilate"], ["keep"] * masked, ["gather"]]),
-                  ("filter", [[name] for name in self._order]), ("upsample", [["resolve"]])]
-        for label, steps in stages:
-            with commands.compute_encoder(label) as encoder:
-                encoder.barrier(after=("compute", "machine-learning"), before="compute")
-                for k, names in enumerate(filter(None, steps)):
-                    if k:
-                        encoder.barrier()
-                    for name in names:
-                        encoder.dispatch(self._tables[name].state, self._tables[name])
-
-    def _place(self, window: Window) -> dict[str, Tensor]:
-        """Tensors that describe a window to the kernels, by binding."""
-        return self._places.get_or_make(window, lambda: {
-            name: upload(self._device.heap, name, array) for name, array in window.places().items()})

@@ -18,7 +18,7 @@ from postfx.kernels.image import RESAMPLE, positions
 from postfx.passes import MOST_SIZES, ResidentFrame
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.tiling import Rows, Shape, Sizes
-from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
+from postfx.runtime import CommandBuffer, Device, Tensor
 
 NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth", "last_reactive": "next_reactive"}
 """Tensor of the last frame that kernels read -> tensor that they write for the next one."""
@@ -138,17 +138,11 @@ class History:
         after, (height, width) = self._rooms[0].of(self._size), before["last_depth"].shape[:2]
         rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
                          (("at_rows", height, self._size[0]), ("at_columns", width, self._size[1])))
-        table = ArgumentTable(self._device.compute_state(RESIZE), {
-            "state": before["state"], "last_depth": before["last_depth"], "at_rows": rows, "at_columns": columns,
-            "resized": after["state"], "resized_depth": after["last_depth"]})
-        with commands.compute_encoder("resize") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(table.state, table)
-            if "last_reactive" in before:
-                mask = ArgumentTable(self._device.compute_state(RESAMPLE), {
-                    "image": before["last_reactive"], "rows": rows, "columns": columns,
-                    "output": after["last_reactive"]})
-                encoder.dispatch(mask.state, mask)
+        commands.run(RESIZE, "resize", state=before["state"], last_depth=before["last_depth"], at_rows=rows,
+                     at_columns=columns, resized=after["state"], resized_depth=after["last_depth"])
+        if "last_reactive" in before:
+            commands.run(RESAMPLE, "resize", image=before["last_reactive"], rows=rows, columns=columns,
+                         output=after["last_reactive"])
 
     def _forget_hidden(self) -> None:
         """Another network cannot read the hidden state. Zeros in its place are what every network knows from first
@@ -258,11 +252,7 @@ class LayerHistory:
     def _resize(self, commands: CommandBuffer, before: Tensor) -> None:
         rows, columns = (self._device.wrap(name, positions(old, new)) for name, old, new in
                          zip(("at_rows", "at_columns"), before.shape, self._size, strict=False))
-        table = ArgumentTable(self._device.compute_state(RESAMPLE), {
-            "image": before, "rows": rows, "columns": columns, "output": self.last["last_part"]})
-        with commands.compute_encoder("resize") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(table.state, table)
+        commands.run(RESAMPLE, "resize", image=before, rows=rows, columns=columns, output=self.last["last_part"])
 
 
 def places_of(parts: Sequence[Part]) -> dict[str, int]:
@@ -388,8 +378,7 @@ class Reflections:
     def __init__(self, device: Device, spec: FrameSpec) -> None:
         self._camera = device.heap.tensor("camera", (CAMERA,))
         self._output = device.heap.transient("motion of reflections", (spec.height, spec.width, 2))
-        self._table = ArgumentTable(device.compute_state(REFLECTIONS),
-                                    {"camera": self._camera, "reflected": self._output})
+        device.make_ready(REFLECTIONS)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, params: np.ndarray | None,
                planes: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
@@ -397,12 +386,8 @@ class Reflections:
         if params is None:
             return planes
         self._camera.upload(params)
-        self._table["hit_distance"] = frame[Role.SPECULAR_HIT_DISTANCE]
-        for role in NEEDS:
-            self._table[role] = planes[role]
-        with commands.compute_encoder("reflections") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._table.state, self._table)
+        commands.run(REFLECTIONS, "reflections", camera=self._camera, hit_distance=frame[Role.SPECULAR_HIT_DISTANCE],
+                     reflected=self._output, **{str(role): planes[role] for role in NEEDS})
         return {**planes, "motion": self._output}
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import FEATURES, FINE, GUIDES, IN_HALF, MIRRORED
-from postfx.kernels.denoise.features import STORED_FEATURE
 from postfx.kernels.denoise.network_io import (
     FOURS,
     OPEN,
@@ -29,7 +28,7 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
     opened_shape,
 )
-from postfx.runtime import ArgumentTable, CommandBuffer, ModelError, PipelineState, Tensor
+from postfx.runtime import CommandBuffer, ModelError, PipelineState, Tensor
 from postfx.runtime.tensor import TensorHeap
 
 PACKED, RAW = "packed_", "raw_"
@@ -54,6 +53,10 @@ MADE = (PACKED, RAW, PHASED_FINE, FINE_LOGITS, STORED, PRODUCTS, CODES)
 CHANNELS = {"features": FEATURES, "guides": GUIDES, "mirrored": MIRRORED}
 FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
 """Feature channels that float32 networks read as inputs of their own: a CPU is fastest with few, or multiples of 16."""
+
+
+Run = tuple[Kernel, dict[str, Tensor]]
+"""A kernel, and its tensors by binding."""
 
 
 def free_dimensions(size: tuple[int, int]) -> dict[str, int]:
@@ -129,9 +132,12 @@ def alike_heads(state: PipelineState) -> dict[str, np.ndarray]:
 
 
 class Network:
-    """A network that reads `seen` and writes `heads`, both by name; `new` makes the tensors in between. Its tables
-    `looks` run in place of those of their names: on a CPU the kernel 'features' itself writes 8 bits. Other kernels
-    make the fine head of what is `coded`, by their bindings, if the network leaves it to them."""
+    """A network that reads `seen` and writes `heads`, both by name; `new` makes the tensors in between.
+
+    Attributes:
+        stored: what a CPU's kernel for features writes in 8 bits, by its bindings; empty for other networks.
+        coded: what other kernels make the fine head of, by their bindings, if the network leaves it to them.
+    """
 
     def __init__(self, state: PipelineState, seen: Mapping[str, Tensor], heads: Mapping[str, Tensor],
                  new: Callable[[str, tuple[int, ...], str], Tensor]) -> None:
@@ -144,12 +150,12 @@ class Network:
         constants = {name: upload(state.device.heap, name, array) for name, array in state.constants.items()
                      if name.startswith((CODING, SCALING))}
         known = {**parts_of(seen["features"]), **seen, **heads, **made}
-        self._table = ArgumentTable(state, {binding.name: known[binding.name] for binding in state.bindings})
+        self._state, self._tensors = state, {binding.name: known[binding.name] for binding in state.bindings}
         packed = [name for name in made if name.startswith((PACKED, STORED)) and name not in seen]
-        self.looks, features = dict[str, ArgumentTable](), "features"
+        self.stored = dict[str, Tensor]()
         if codes_features(state):
-            packed.remove(name := f"{STORED}{features}")
-            self.looks[features] = _table(state, STORED_FEATURE, coding=constants[CODING + features], stored=made[name])
+            packed.remove(name := f"{STORED}features")
+            self.stored = {"coding": constants[f"{CODING}features"], "stored": made[name]}
         closed = [name for name in made if name.startswith((RAW, PHASED_FINE, FINE_LOGITS, PRODUCTS))]
         self._before = [_packer(state, made[name], constants, seen) for name in packed]
         openers = [_openers(state, made[name], constants, heads) for name in closed]
@@ -161,26 +167,25 @@ class Network:
                      "factors": upload(state.device.heap, f"factors {name}", whole, "int8")}
             openers.append([_code_opener(state, heads[name], coded, name == "fine")])
             self.coded = coded if name == "fine" else self.coded
-        self._after = [[table for table in step if table] for step in zip_longest(*openers)]
+        self._after = [run for step in zip_longest(*openers) for run in step if run]
+        state.device.make_ready(*(kernel for kernel, _ in (*self._before, *self._after)))
 
     def encode(self, commands: CommandBuffer) -> None:
         """Record the network's run, which waits for the kernels before it."""
-        if self._before:
-            _dispatch(commands, "pack", [self._before], ("compute", "machine-learning"))
-        with commands.machine_learning_encoder("network") as encoder:
-            encoder.barrier(after="compute", before="machine-learning")
-            encoder.dispatch_network(self._table.state, self._table)
-        if self._after:
-            _dispatch(commands, "open", self._after, ("compute", "machine-learning"))
+        for kernel, tensors in self._before:
+            commands.run(kernel, "pack", **tensors)
+        commands.run(self._state, "network", **self._tensors)
+        for kernel, tensors in self._after:
+            commands.run(kernel, "open", **tensors)
 
 
 def _packer(state: PipelineState, packed: Tensor, constants: Mapping[str, Tensor],
-            seen: Mapping[str, Tensor]) -> ArgumentTable:
+            seen: Mapping[str, Tensor]) -> Run:
     if packed.name.startswith(PACKED):
-        return _table(state, PACK, planes=seen[packed.name.removeprefix(PACKED)], packed=packed)
+        return _run(state, PACK, planes=seen[packed.name.removeprefix(PACKED)], packed=packed)
     name = packed.name.removeprefix(STORED)
     kernel = STORE if packed.shape[1] == seen[name].shape[2] else STORE_RINGED
-    return _table(state, kernel, planes=seen[name], coding=constants[f"{CODING}{name}"], stored=packed)
+    return _run(state, kernel, planes=seen[name], coding=constants[f"{CODING}{name}"], stored=packed)
 
 
 def upload(heap: TensorHeap, name: str, array: np.ndarray, dtype: str = "float32") -> Tensor:
@@ -191,50 +196,49 @@ def upload(heap: TensorHeap, name: str, array: np.ndarray, dtype: str = "float32
 
 
 def _openers(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor],
-             heads: Mapping[str, Tensor]) -> list[ArgumentTable]:
-    """Tables to run in turn. Of products behind the fine head in one memory, some take the place of those before."""
+             heads: Mapping[str, Tensor]) -> list[Run]:
+    """Kernels to run in turn. Of products behind the fine head in one memory, some take the place of those before."""
     if closed.name not in heads:
         return [_opener(state, closed, constants, heads)]
-    fine, (_, count, rows, columns), tables = heads["fine"], heads["fine"].shape, []
+    fine, (_, count, rows, columns), runs = heads["fine"], heads["fine"].shape, []
     for channel in range(0, count, SOME):
         some, at = min(SOME, count - channel), channel * rows * columns
-        tables.append(_table(
+        runs.append(_run(
             state, OPEN_SOME_PRODUCTS, scaling=constants[f"{SCALING}fine"],
             first=upload(state.device.heap, "first", np.full(1, channel, np.float32)),
             products=closed.view(closed.name, (1, 4 * some, rows // 2, columns // 2), at),
             fine=fine.view("fine", (1, some, rows, columns), at)))
-    return tables
+    return runs
 
 
-def _code_opener(state: PipelineState, head: Tensor, coded: Mapping[str, Tensor], fine: bool) -> ArgumentTable:
+def _code_opener(state: PipelineState, head: Tensor, coded: Mapping[str, Tensor], fine: bool) -> Run:
     if not fine:
-        return _table(state, OPEN_CODES, **coded, heads=head)
+        return _run(state, OPEN_CODES, **coded, heads=head)
     _, count, rows, columns = head.shape
-    return _table(state, OPEN_FINE_CODES, **coded, fine=head.view("fine", (1, count, rows // 2, 2, columns)))
+    return _run(state, OPEN_FINE_CODES, **coded, fine=head.view("fine", (1, count, rows // 2, 2, columns)))
 
 
 def _opener(state: PipelineState, closed: Tensor, constants: Mapping[str, Tensor],
-            heads: Mapping[str, Tensor]) -> ArgumentTable:
+            heads: Mapping[str, Tensor]) -> Run:
     if closed.name == PHASED_FINE:
-        return _table(state, OPEN_PHASED, phased_fine=closed, fine=heads["fine"])
+        return _run(state, OPEN_PHASED, phased_fine=closed, fine=heads["fine"])
     if closed.name == FINE_LOGITS:
-        return _table(state, OPEN_LOGITS, fine_logits=closed, fine=heads["fine"])
+        return _run(state, OPEN_LOGITS, fine_logits=closed, fine=heads["fine"])
     if closed.name == f"{RAW}fine":
-        return _table(state, OPEN_FINE, raw_fine=closed, fine=heads["fine"])
+        return _run(state, OPEN_FINE, raw_fine=closed, fine=heads["fine"])
     if closed.name.startswith(RAW):
-        return _table(state, OPEN, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
+        return _run(state, OPEN, raw=closed, heads=heads[closed.name.removeprefix(RAW)])
     name = closed.name.removeprefix(PRODUCTS)
     head, scaling, (rows, columns) = heads[name], constants[f"{SCALING}{name}"], heads[name].shape[2:]
     if name != "fine":
         products = closed.view(closed.name, head.shape)
-        return _table(state, OPEN_PRODUCTS, products=products, scaling=scaling, heads=head)
+        return _run(state, OPEN_PRODUCTS, products=products, scaling=scaling, heads=head)
     products = closed.view(closed.name, (1, closed.shape[0], rows // 2, columns // 2))
-    return _table(state, OPEN_FINE_PRODUCTS, products=products, scaling=scaling, fine=head)
+    return _run(state, OPEN_FINE_PRODUCTS, products=products, scaling=scaling, fine=head)
 
 
-def _table(state: PipelineState, kernel: Kernel, **tensors: Tensor) -> ArgumentTable:
-    taken = IN_HALF.get(kernel, kernel) if is_half(state) else kernel
-    return ArgumentTable(state.device.compute_state(taken), tensors)
+def _run(state: PipelineState, kernel: Kernel, **tensors: Tensor) -> Run:
+    return IN_HALF.get(kernel, kernel) if is_half(state) else kernel, tensors
 
 
 def is_half(state: PipelineState) -> bool:
@@ -245,13 +249,3 @@ def is_half(state: PipelineState) -> bool:
 def codes_features(state: PipelineState) -> bool:
     """Whether the features are made in 8 bits: for such a network on a CPU."""
     return state.device.runs_rows and f"{STORED}features" in state.shapes
-
-
-def _dispatch(commands: CommandBuffer, label: str, steps: list[list[ArgumentTable]], after: tuple[str, ...]) -> None:
-    with commands.compute_encoder(label) as encoder:
-        encoder.barrier(after=after, before="compute")
-        for number, tables in enumerate(steps):
-            if number:
-                encoder.barrier()
-            for table in tables:
-                encoder.dispatch(table.state, table)

@@ -27,7 +27,7 @@ from postfx.passes.denoise.history import (
 from postfx.passes.denoise.options import Size
 from postfx.passes.denoise.planes import ABSENT, Alpha, Resampler, Restore, Strength, absent_plane
 from postfx.passes.denoise.tiling import Rows
-from postfx.runtime import ArgumentTable, CommandBuffer, Device, Tensor
+from postfx.runtime import CommandBuffer, Device, Tensor
 from postfx.sampling import three_by_three
 
 NEAR = 2e-3
@@ -223,9 +223,7 @@ class Layers:
 
     def _resampled(self, commands: CommandBuffer, frame: ResidentFrame, name: str) -> Tensor:
         output = self._finished(name)
-        with commands.compute_encoder("plain") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            self._plain.run(encoder, self._three(name, frame), [(output, (0, self._output.height))])
+        self._plain.run(commands, "plain", self._three(name, frame), [(output, (0, self._output.height))])
         return output
 
     def _leave_all(self, commands: CommandBuffer, frame: ResidentFrame, values: Mapping[str, Tensor], picture: Tensor,
@@ -324,13 +322,9 @@ class Layers:
     def _balance(self, commands: CommandBuffer, group: Group, parts: Tensor, whole: Tensor, picture: Tensor,
                  balanced: Tensor) -> None:
         count = len(group.names)
-        table = ArgumentTable(self._device.compute_state(BALANCE), {
-            "parts": some_of(parts, group.first, count), "reached": self._reached[group.first], "whole": whole,
-            "picture": picture,
-            "complete": self._complete[group.first], "balanced": some_of(balanced, group.first, count)})
-        with commands.compute_encoder("balance") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            encoder.dispatch(table.state, table)
+        commands.run(BALANCE, "balance", parts=some_of(parts, group.first, count), whole=whole, picture=picture,
+                     reached=self._reached[group.first], complete=self._complete[group.first],
+                     balanced=some_of(balanced, group.first, count))
 
     def _stack(self, name: str) -> Tensor:
         """Pictures of the whole and of all light within a frame, in the places that they have in the history."""
@@ -341,11 +335,7 @@ class Layers:
 
     def _decoded(self, commands: CommandBuffer, name: str, filtered: Tensor) -> Tensor:
         output = self._between(f"decoded {name}", 3)
-        table = ArgumentTable(self._device.compute_state(DECODE), {
-            "filtered": filtered, "decoding": self._decodings[name], "plane": output})
-        with commands.compute_encoder("decode") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            encoder.dispatch(table.state, table)
+        commands.run(DECODE, "decode", filtered=filtered, decoding=self._decodings[name], plane=output)
         return output
 
     def _leave(self, commands: CommandBuffer, frame: ResidentFrame, name: str, value: Tensor) -> None:
@@ -358,11 +348,8 @@ class Layers:
             frame.parts[name] = value
             return
         output = self._between(f"output {name}", channels)
-        table = ArgumentTable(self._device.compute_state(DECODE_ONE if channels == 1 else DECODE), {
-            "filtered": value, "decoding": self._decodings[name] if is_depth else self._identity, "plane": output})
-        with commands.compute_encoder("decode") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            encoder.dispatch(table.state, table)
+        commands.run(DECODE_ONE if channels == 1 else DECODE, "decode", filtered=value, plane=output,
+                     decoding=self._decodings[name] if is_depth else self._identity)
         frame.parts[name] = output
 
     def _finished(self, name: str) -> Tensor:

@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from postfx.frame import GUIDE_ROLES, ROLES, FrameSpec, Role
+from postfx.kernels import Kernel
 from postfx.kernels.denoise import FARTHEST, NEAR_CELL, kernel
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.history import REACTIVE
@@ -23,7 +24,7 @@ from postfx.passes import ResidentFrame
 from postfx.passes.denoise.history import LayerHistory
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.tiling import Rows, full_rows, rows_of, tiles_with
-from postfx.runtime import ArgumentTable, CommandBuffer, ComputeEncoder, Device, Tensor
+from postfx.runtime import CommandBuffer, Device, Tensor
 from postfx.sampling import three_by_three
 
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.
@@ -50,20 +51,16 @@ class Resampler:
         self._rows, self._columns = new(f"{name} rows", out_size[:1]), new(f"{name} columns", out_size[1:])
         self._aimed: tuple[tuple[float, float], tuple[float, float]] | None = None
         self.output = device.heap.transient(name, (*out_size, ROLES[role].channels))
-        kernel = ENLARGE if role is Role.OVERLAY else RESAMPLE
-        self._table = ArgumentTable(device.compute_state(kernel), {"columns": self._columns})
+        self._kernel = ENLARGE if role is Role.OVERLAY else RESAMPLE
+        device.make_ready(self._kernel)
 
-    def encode(
-        self, encoder: ComputeEncoder, image: Tensor, jitter: tuple[float, float], out_jitter: tuple[float, float],
-        parts: Sequence[tuple[Tensor, Rows]] = (),
-    ) -> None:
-        """Record the work for an image whose samples are `jitter` of its own pixels off their centres.
-
-        Args:
-            parts: rows to make, each in a tensor of the result's size; none: all rows, in `output`.
-        """
+    def encode(self, commands: CommandBuffer, label: str, image: Tensor, jitter: tuple[float, float],
+               out_jitter: tuple[float, float] = (0.0, 0.0)) -> Tensor:
+        """Record the work for an image whose samples are `jitter` of its own pixels off their centres; returns the
+        result."""
         self.aim(jitter, out_jitter)
-        self.run(encoder, image, parts)
+        self.run(commands, label, image)
+        return self.output
 
     def aim(self, jitter: tuple[float, float], out_jitter: tuple[float, float] = (0.0, 0.0)) -> None:
         """Once a frame: its images have samples at these places."""
@@ -76,13 +73,17 @@ class Resampler:
             tensor.upload(np.rint(at) if self._nearest else at)
         self._aimed = jitter, out_jitter
 
-    def run(self, encoder: ComputeEncoder, image: Tensor, parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
-        """Record the work for an image, of several that are sampled at the same places."""
-        self._table["image"] = image
+    def run(self, commands: CommandBuffer, label: str, image: Tensor,
+            parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
+        """Record the work for an image, of several that are sampled at the same places.
+
+        Args:
+            parts: rows to make, each in a tensor of the result's size; none: all rows, in `output`.
+        """
         for output, rows in parts or [(self.output, (0, self._out_size.height))]:
             if rows[0] < rows[1]:
-                self._table["rows"], self._table["output"] = rows_of(self._rows, rows), rows_of(output, rows)
-                encoder.dispatch(self._table.state, self._table)
+                commands.run(self._kernel, label, image=image, rows=rows_of(self._rows, rows), columns=self._columns,
+                             output=rows_of(output, rows))
 
 
 class Planes:
@@ -119,13 +120,10 @@ class Planes:
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, blank: bool = True) -> Mapping[str, Tensor]:
         """Record the resampling, if any; returns every plane by name. `blank`: where the frame shows a volume, depth
         and albedo are left out."""
-        if self._reduced or self._enlarged:
-            with commands.compute_encoder("resample") as encoder:
-                encoder.barrier(after=("compute", "machine-learning"), before="compute")
-                for role, resampler in self._reduced.items():
-                    resampler.encode(encoder, frame.guides[role], frame.guide_jitter, frame.jitter)
-                for role, resampler in self._enlarged.items():
-                    resampler.encode(encoder, frame[role], frame.jitter, frame.guide_jitter)
+        for role, resampler in self._reduced.items():
+            resampler.encode(commands, "resample", frame.guides[role], frame.guide_jitter, frame.jitter)
+        for role, resampler in self._enlarged.items():
+            resampler.encode(commands, "resample", frame[role], frame.jitter, frame.guide_jitter)
         planes = {"colour": frame[Role.COLOUR]} | {name: frame[role] for role, name in self._held.items()}
         planes |= {f"guide_{role}": frame.guides[role] for role in self._guides}
         planes |= {str(role): resampler.output for role, resampler in self._reduced.items()}
@@ -189,7 +187,7 @@ class ExpectedError:
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
         """Record what brings it to the output's size; returns the plane."""
         error = self.written["error"]
-        return _resampled(commands, "error", self._resampler, error, frame.jitter) if self._resampler else error
+        return self._resampler.encode(commands, "error", error, frame.jitter) if self._resampler else error
 
 
 class LargerMotion:
@@ -199,17 +197,14 @@ class LargerMotion:
         rows, columns = (positions(*sizes) for sizes in zip(render, output, strict=True))
         ratio = np.array([output.width / render.width, output.height / render.height], np.float32)
         arrays = {"rows": rows, "columns": columns, "ratio": ratio}
-        self._table = ArgumentTable(device.compute_state(ENLARGE_MOTION), {
-            name: device.wrap(f"{name} of motion", array) for name, array in arrays.items()})
-        self._table["enlarged"] = device.heap.transient("motion of the output", (*output, 2))
+        self._places = {name: device.wrap(f"{name} of motion", array) for name, array in arrays.items()}
+        self._enlarged = device.heap.transient("motion of the output", (*output, 2))
+        device.make_ready(ENLARGE_MOTION)
 
     def encode(self, commands: CommandBuffer, motion: Tensor) -> Tensor:
         """Record the work; returns the motion."""
-        self._table["motion"] = motion
-        with commands.compute_encoder("motion") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._table.state, self._table)
-        return self._table["enlarged"]
+        commands.run(ENLARGE_MOTION, "motion", motion=motion, enlarged=self._enlarged, **self._places)
+        return self._enlarged
 
 
 class Passthrough:
@@ -247,7 +242,7 @@ class Passthrough:
             elif role is Role.OVERLAY and self._size(role) == self._output and jitter == CENTRED:
                 frame.set(role, plane)
             else:
-                frame.set(role, _resampled(commands, str(role), resampler, plane, jitter))
+                frame.set(role, resampler.encode(commands, str(role), plane, jitter))
 
     def _source(self, role: Role, frame: ResidentFrame) -> tuple[Tensor, tuple[float, float]]:
         """A plane, and where its samples lie."""
@@ -265,15 +260,6 @@ class Passthrough:
         return self._nothing
 
 
-def _resampled(
-    commands: CommandBuffer, name: str, resampler: Resampler, plane: Tensor, jitter: tuple[float, float]
-) -> Tensor:
-    with commands.compute_encoder(name) as encoder:
-        encoder.barrier(after=("compute", "machine-learning"), before="compute")
-        resampler.encode(encoder, plane, jitter, CENTRED)
-    return resampler.output
-
-
 class Reactive:
     """The mask of each frame: its plane, or computed from the difference of two colours."""
 
@@ -282,8 +268,7 @@ class Reactive:
         if self._role is Role.OPAQUE_COLOUR:
             self._difference = device.heap.tensor("difference", (3,))
             self._output = device.heap.transient("reactive", (spec.height, spec.width, 1))
-            tensors = {"difference": self._difference, "reactive": self._output}
-            self._table = ArgumentTable(device.compute_state(REACTIVE), tensors)
+            device.make_ready(REACTIVE)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> dict[str, Tensor]:
         """Record the work, if any; returns the mask by its name for the kernels, or an empty mapping."""
@@ -292,10 +277,8 @@ class Reactive:
         if self._role is Role.REACTIVE:
             return {"reactive": frame[Role.REACTIVE]}
         self._difference.upload([frame.exposure, self._option.scale, self._option.threshold])
-        self._table["colour"], self._table["opaque_colour"] = frame[Role.COLOUR], frame[Role.OPAQUE_COLOUR]
-        with commands.compute_encoder("reactive") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._table.state, self._table)
+        commands.run(REACTIVE, "reactive", colour=frame[Role.COLOUR], opaque_colour=frame[Role.OPAQUE_COLOUR],
+                     difference=self._difference, reactive=self._output)
         return {"reactive": self._output}
 
 
@@ -318,7 +301,7 @@ class Restore:
         self._tensors = {"params": self._params, "evidence": self._evidence, "sums": between("sums", (*tiles, SUMS)),
                          "judged": self._judged,
                          "detail": between("detail", (*tiles, 1)), "output": self._output}
-        self._tables = [ArgumentTable(device.compute_state(kernel)) for kernel in (JUDGE, DETAIL, RESTORE)]
+        device.make_ready(JUDGE, DETAIL, RESTORE)
 
     def acts_on(self, frame: ResidentFrame) -> bool:
         """Whether a frame may get detail back."""
@@ -334,26 +317,19 @@ class Restore:
         self._judge_only(np.ones(self._tiles, bool) if cells is None else tiles_with(cells))
         self._params.upload([frame.exposure, 0.0, 0.0, 0.0])
         self._evidence.upload([min(frame.samples or MANY, MOST) / MANY])
-        planes = {"colour": frame[Role.COLOUR], "denoised": denoised}
-        with commands.compute_encoder("restore") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            for table in self._tables:
-                for name in {binding.name for binding in table.state.bindings}:
-                    table[name] = self._part_of(name, planes.get(name) or self._tensors[name])
-                encoder.dispatch(table.state, table)
-                encoder.barrier()
+        planes = {**self._tensors, "colour": frame[Role.COLOUR], "denoised": denoised}
+        for work in (JUDGE, DETAIL, RESTORE):
+            self._run(commands, work, planes)
         return self._output
 
     def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor, output: Tensor) -> Tensor:
         """Record the same work on a part of the picture, after the picture itself: the part gets back the same
         share."""
-        tensors = {"colour": noisy, "denoised": denoised, "detail": self._tensors["detail"], "output": output}
-        table = ArgumentTable(self._device.compute_state(RESTORE), {
-            name: self._part_of(name, tensor) for name, tensor in tensors.items()})
-        with commands.compute_encoder("restore") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            encoder.dispatch(table.state, table)
+        self._run(commands, RESTORE, {**self._tensors, "colour": noisy, "denoised": denoised, "output": output})
         return output
+
+    def _run(self, commands: CommandBuffer, work: Kernel, tensors: Mapping[str, Tensor]) -> None:
+        commands.run(work, "restore", **{name: self._part_of(name, tensors[name]) for name in work.reads + work.writes})
 
     def _judge_only(self, tiles: np.ndarray) -> None:
         if not np.array_equal(tiles, self._known):
@@ -391,58 +367,40 @@ class Alpha:
                          (("alpha rows", spec.height), ("alpha columns", spec.width)))
         moved = between("motion of alpha", (spec.height, spec.width, 2))
         self._output, self.enlarged = between("alpha", (*output, 1)), between("enlarged alpha", (*output, 1))
-        self._dilate = ArgumentTable(device.compute_state(DILATE), {
-            "part_rows": rows, "part_columns": columns, "moved": moved})
+        self._pixels = {"part_rows": rows, "part_columns": columns}
         self._near = new("near alpha", (-(-spec.height // NEAR_CELL), -(-spec.width // NEAR_CELL)))
-        self._find = ArgumentTable(device.compute_state(NEAR), {"near": self._near}) if device.gpu else None
-        self._gather = ArgumentTable(device.compute_state(GATHER), {
-            "moved": moved, "rates": self._rates, "near": self._near})
-        fit = between("alpha by colours", (4, spec.height, spec.width))
-        self._fit = ArgumentTable(device.compute_state(FIT), {"near": self._near, "fit": fit})
-        self._correct = ArgumentTable(device.compute_state(CORRECT), {
-            "enlarged": self.enlarged, "moved": moved, "near": self._near, "gain": self._gain, "fit": fit,
-            "corrected": self._output})
+        self._moved, self._finds_cells = moved, device.gpu is not None
+        self._fit = between("alpha by colours", (4, spec.height, spec.width))
+        device.make_ready(DILATE, GATHER, FIT, CORRECT, *(NEAR,) * self._finds_cells)
 
     def gather(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
                history: LayerHistory, keep: bool) -> dict[str, Tensor]:
         """Record the work that adds a frame's own alpha to the mean; returns what filters read of it. Jittered alpha
         does not lie where the pixels do, and counts for nothing but in its own frame."""
         samples, jittered = frame.samples or FEW_SAMPLES, frame.jitter != (0.0, 0.0)
-        if self._find:
-            self._find["alpha"] = frame[Role.ALPHA]
-        else:
+        if not self._finds_cells:
             self._near.upload(near_cells(frame.host_planes[Role.ALPHA][..., 0]))
         self._rates.upload([float(keep and not history.resized and not jittered), 1 / samples, DRIFT, 1 / LONGEST])
         self._gain.upload([0.0 if jittered else 1 / SETTLED, RANDOM / samples,
                            0.0 if jittered else SHARPER * self._scale, 0.0 if jittered else BY_COLOUR])
-        self._dilate["motion"], self._dilate["depth"] = planes[Role.MOTION], planes[Role.DEPTH]
-        self._gather["alpha"] = frame[Role.ALPHA]
-        for name, tensors in (("", history.last), ("next_", history.next)):
-            quarters = tensors["samples"]
-            self._gather[f"{name}doubt"] = tensors["doubt"]
-            self._gather[f"{name}samples"] = quarters.view(
-                quarters.name, (2 * quarters.shape[0], 2 * quarters.shape[1], 1))
-        for name in ("next_samples", "next_doubt"):
-            self._correct[name] = self._gather[name]
-        self._fit["next_samples"] = self._gather["next_samples"]
-        with commands.compute_encoder("gather alpha") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            encoder.dispatch(self._dilate.state, self._dilate)
-            if self._find:
-                encoder.dispatch(self._find.state, self._find)
-            encoder.barrier()
-            encoder.dispatch(self._gather.state, self._gather)
-        return {"next_samples": self._fit["next_samples"], "near": self._near}
+        last, found = (quarters.view(quarters.name, (2 * quarters.shape[0], 2 * quarters.shape[1], 1))
+                                 for quarters in (history.last["samples"], history.next["samples"]))
+        self._next = {"next_samples": found, "next_doubt": history.next["doubt"]}
+        commands.run(DILATE, "gather alpha", motion=planes[Role.MOTION], depth=planes[Role.DEPTH], moved=self._moved,
+                     **self._pixels)
+        if self._finds_cells:
+            commands.run(NEAR, "gather alpha", alpha=frame[Role.ALPHA], near=self._near)
+        commands.run(GATHER, "gather alpha", alpha=frame[Role.ALPHA], moved=self._moved, rates=self._rates,
+                     near=self._near, samples=last, doubt=history.last["doubt"], **self._next)
+        return {"next_samples": found, "near": self._near}
 
     def correct(self, commands: CommandBuffer, picture: Tensor) -> Tensor:
         """Record the work on alpha that was filtered and enlarged, given the picture that the filters made; returns
         alpha."""
-        self._correct["picture"] = self._fit["picture"] = picture
-        with commands.compute_encoder("correct alpha") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            encoder.dispatch(self._fit.state, self._fit)
-            encoder.barrier()
-            encoder.dispatch(self._correct.state, self._correct)
+        commands.run(FIT, "correct alpha", next_samples=self._next["next_samples"], picture=picture, near=self._near,
+                     fit=self._fit)
+        commands.run(CORRECT, "correct alpha", enlarged=self.enlarged, moved=self._moved, near=self._near,
+                     gain=self._gain, fit=self._fit, picture=picture, corrected=self._output, **self._next)
         return self._output
 
 
@@ -472,9 +430,7 @@ class Plain:
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> Tensor:
         """Record the work; returns the colour at output size."""
-        self.aim(frame)
-        self.run(commands, frame[Role.COLOUR])
-        return self.output
+        return self._resampler.encode(commands, "plain", frame[Role.COLOUR], frame.jitter)
 
     def aim(self, frame: ResidentFrame) -> None:
         """Once a frame: its colour has samples at these places."""
@@ -482,9 +438,7 @@ class Plain:
 
     def run(self, commands: CommandBuffer, colour: Tensor, parts: Sequence[tuple[Tensor, Rows]] = ()) -> None:
         """Record the work, for some rows of some tensors if `parts` are given."""
-        with commands.compute_encoder("plain") as encoder:
-            encoder.barrier(after=("compute", "machine-learning"), before="compute")
-            self._resampler.run(encoder, colour, parts)
+        self._resampler.run(commands, "plain", colour, parts)
 
 
 class Strength:
@@ -495,8 +449,8 @@ class Strength:
         self._in_place = device.runs_rows
         self._output, self._copy = (device.heap.transient(name, (*output, 3)) for name in ("blend", "denoised rows"))
         self._is_whole = amount == 1
-        factor = device.wrap("amount", np.full(1, amount, np.float32))
-        self._table = ArgumentTable(device.compute_state(STRENGTH), {"amount": factor})
+        self._amount = device.wrap("amount", np.full(1, amount, np.float32))
+        device.make_ready(STRENGTH)
         render, held = Size(spec.height, spec.width), spec.has(Role.STRENGTH)
         self._plane = Resampler(device, "strength", Role.STRENGTH, render, output) if held else None
         self._strength = self._plane.output if self._plane else device.wrap(
@@ -532,33 +486,25 @@ class Strength:
         blended, others = [(rows[0], full[0]), (full[1], rows[1])], [(0, rows[0]), (rows[1], self._output.shape[0])]
         self.plain.run(commands, colour, [*((self.plain.output, some) for some in blended),
                                           *((self._output, some) for some in others)])
-        with commands.compute_encoder("strength") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            if self._plane and strength:
-                self._plane.run(encoder, strength, [(self._strength, some) for some in blended])
-                encoder.barrier()
-            if denoised is self._output:
-                self._blend(encoder, denoised, denoised, self._copy, *blended)  # with itself
-                encoder.barrier()
-                denoised = self._copy
-            self._blend(encoder, self.plain.output, denoised, self._output, *blended)
+        if self._plane and strength:
+            self._plane.run(commands, "strength", strength, [(self._strength, some) for some in blended])
+        if denoised is self._output:
+            self._blend(commands, denoised, denoised, self._copy, *blended)  # with itself
+            denoised = self._copy
+        self._blend(commands, self.plain.output, denoised, self._output, *blended)
 
-    def _blend(self, encoder: ComputeEncoder, plain: Tensor, denoised: Tensor, output: Tensor, *parts: Rows) -> None:
+    def _blend(self, commands: CommandBuffer, plain: Tensor, denoised: Tensor, output: Tensor, *parts: Rows) -> None:
         tensors = {"plain": plain, "denoised": denoised, "strength": self._strength, "output": output}
         for rows in (some for some in parts if some[0] < some[1]):
-            for name, tensor in tensors.items():
-                self._table[name] = rows_of(tensor, rows)
-            encoder.dispatch(self._table.state, self._table)
+            commands.run(STRENGTH, "strength", amount=self._amount, **{
+                name: rows_of(tensor, rows) for name, tensor in tensors.items()})
 
     def encode_part(self, commands: CommandBuffer, noisy: Tensor, denoised: Tensor,
                     rows: Rows, plain: Resampler, output: Tensor) -> Tensor:
         """Record the same work on a part of the picture, after the picture itself; `plain` resamples parts."""
         others = (output, (0, rows[0])), (output, (rows[1], output.shape[0]))
-        with commands.compute_encoder("strength") as encoder:
-            encoder.barrier(after="compute", before="compute")
-            plain.run(encoder, noisy, [(plain.output, rows), *others])
-            encoder.barrier()
-            self._blend(encoder, plain.output, denoised, output, rows)
+        plain.run(commands, "strength", noisy, [(plain.output, rows), *others])
+        self._blend(commands, plain.output, denoised, output, rows)
         return output
 
     def is_full(self, frame: ResidentFrame) -> bool:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -105,9 +105,9 @@ class Window:
         return rows, columns
 
     def places(self) -> dict[str, np.ndarray]:
-        """Arrays that describe the window to the kernels, by binding."""
+        """Arrays that describe the window to the kernels, by name; those of a pyramid level have its number behind."""
         frame, out = self.frame, self.out
-        values = {
+        values: dict[str, Any] = {
             "window": [self.top, self.left, frame.h, frame.w, out.top, out.left, frame.height, frame.width],
             "part_rows": _counted(self.top, self.rows, frame.h),
             "part_columns": _counted(self.left, self.columns, frame.w),
@@ -115,18 +115,13 @@ class Window:
             "seen_columns": _mirrored(self.padded_size[1], min(self.columns, frame.w - self.left)),
             "out_rows": _counted(out.top, out.rows, frame.height),
             "out_columns": _counted(out.left, out.columns, frame.width)}
-        return {name: np.asarray(value, np.float32) for name, value in values.items()}
-
-    def places_of_tables(self) -> dict[str, dict[str, np.ndarray]]:
-        """The same for each of the pyramid's argument tables, and under '' for all others."""
-        places = {"": self.places(), f"filter {LEVELS}": {"area": self.area(LEVELS)}}
+        values |= {f"area {i}": self.area(i) for i in range(LEVELS + 1)}
         for i in range(LEVELS):
-            coarser = dict(zip(("coarse_rows", "coarse_columns"), self.coarser(i), strict=True))
-            places[f"mix {i}"] = places[f"filter {i}"] = {"area": self.area(i), **coarser}
-            places[f"pool {i + 1}"] = dict(zip(("finer_rows", "finer_columns"), self.finer(i + 1), strict=True))
-        firsts = zip(*([places[f"pool {i}"][f"finer_{side}"][0] for side in ("rows", "columns")]
-                       for i in range(1, LEVELS + 1)), strict=True)
-        return places | {"pools": {"firsts": np.concatenate([*firsts], dtype=np.float32)}}
+            values[f"coarse_rows {i}"], values[f"coarse_columns {i}"] = self.coarser(i)
+            values[f"finer_rows {i + 1}"], values[f"finer_columns {i + 1}"] = self.finer(i + 1)
+        values["firsts"] = [values[f"finer_{side} {i}"][0] for side in ("rows", "columns")
+                            for i in range(1, LEVELS + 1)]
+        return {name: np.asarray(value, np.float32) for name, value in values.items()}
 
 
 def whole_steps(side: int, step: int) -> int:
