@@ -17,7 +17,7 @@ from postfx.io import writer
 from postfx.io.convert import Camera, convert
 from postfx.io.exr import container
 from postfx.io.profile import load_profile
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from postfx.system import Scratch
 
 SIZE = (150, 70)
@@ -32,7 +32,7 @@ def planes(height: int, width: int) -> dict[str, np.ndarray]:
 def both(path: Path) -> tuple[Frame, Frame, Scratch]:
     """A file read at once, and in pieces of few rows."""
     scratch = Scratch("1M")
-    return Sequence(path).read(1), Sequence(path, scratch=scratch).read(1), scratch
+    return Sequence(path).read(1), read_sequence(path, scratch=scratch).read(1), scratch
 
 
 def assert_same(one: Frame, other: Frame) -> None:
