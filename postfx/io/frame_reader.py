@@ -56,7 +56,7 @@ def read_planes(
     new = scratch.empty if scratch else partial(np.empty, dtype=np.float32)
     planes: dict[Role, np.ndarray] = {}
     for plan in plans:
-        width, height = next(iter(plan.matches.values())).size
+        width, height = plan.size
         made = {role: new((height, width, ROLES[role].channels)) for role in plan.matches}
         _Rows(files, plan, made, camera).read(scratch)
         planes |= made
@@ -341,7 +341,8 @@ class FrameFiles:
     def _frame(
         self, number: int, planes: dict[Role, np.ndarray], guides: dict[Role, np.ndarray], first: Channel
     ) -> Frame:
-        facts, camera, part = self.layout.facts, self.layout.camera, first.part
+        layout, camera, part = self.layout, self.layout.camera, first.part
+        facts = Facts(layout.profile, layout.layer, layout.attributes)
         windows = {"displayWindow": tuple(part.display), "dataWindow": tuple(part.data), AREA: tuple(part.area)}
         return Frame(
             planes,
@@ -352,7 +353,7 @@ class FrameFiles:
             samples=int(facts.number("samples") or 0) or None,
             world_to_camera=camera.world_to_camera,
             fov_x=camera.fov_over(part.area.width),
-            metadata={**self.layout.attributes, **windows},
+            metadata={**layout.attributes, **windows},
             source=str(self.files[first.word].path),
             colour_source=self._colour_source(),
             guides=guides,

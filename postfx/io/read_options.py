@@ -123,7 +123,7 @@ class ReadOptions:
         StrengthError."""
         _ = self.brightest, self.parts, self.stored_depth, self.left_alone
 
-    @property
+    @cached_property
     def estimates_motion(self) -> bool:
         """Whether motion that files lack is estimated."""
         return self.motion != FILE_MOTION

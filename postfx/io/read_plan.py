@@ -98,6 +98,7 @@ class RowsPlan(NamedTuple):
 
     Attributes:
         matches: the planes.
+        size: width and height.
         fills: channel -> the value of pixels without data.
         chunk: rows in which whole chunks lie.
         parts: word of a file, part, and the names of the channels of each plane in it.
@@ -105,6 +106,7 @@ class RowsPlan(NamedTuple):
     """
 
     matches: Mapping[Role, Match]
+    size: tuple[int, int]
     fills: Mapping[Channel, float]
     chunk: int
     parts: tuple[tuple[str, Part, Mapping[Role, list[str]]], ...]
@@ -120,10 +122,10 @@ def plan_rows(matches: Mapping[Role, Match], paths: Mapping[str, Path]) -> list[
             raise ReadError(f"{paths[match.channels[0].word]}: channels {match.names} differ in size; "
                             "write them as one part")
         sizes.setdefault(areas.pop(), {})[role] = match
-    return [_plan_rows(found) for found in sizes.values()]
+    return [_plan_rows(found, size) for size, found in sizes.items()]
 
 
-def _plan_rows(matches: Mapping[Role, Match]) -> RowsPlan:
+def _plan_rows(matches: Mapping[Role, Match], size: tuple[int, int]) -> RowsPlan:
     fills = {channel: fill_value(match.rule) for match in matches.values() for channel in match.channels}
     parts: dict[Part, tuple[str, Part, dict[Role, list[str]]]] = {}
     for role, match in matches.items():
@@ -131,7 +133,8 @@ def _plan_rows(matches: Mapping[Role, Match]) -> RowsPlan:
         names = parts.setdefault(first.part, (first.word, first.part, {}))[2]
         names[role] = [channel.name for channel in match.channels]
     together = all(are_together(match.channels) for match in matches.values())
-    return RowsPlan(matches, fills, max(channel.part.chunk for channel in fills), tuple(parts.values()), together)
+    chunk = max(channel.part.chunk for channel in fills)
+    return RowsPlan(matches, size, fills, chunk, tuple(parts.values()), together)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,15 +205,15 @@ def key_of(
     files: Mapping[str, Parts], attributes: Mapping[str, Any], options: ReadOptions, settled: Settled
 ) -> tuple[object, ...]:
     """All on which a plan depends but the numbers of the camera: frames with one key have one plan."""
-    parts = tuple((word, tuple(part.key for part in own)) for word, own in files.items())
-    told = tuple(str(attributes.get(name, "")) for name in telling_names())
+    parts = tuple([(word, *[part.key for part in own]) for word, own in files.items()])
+    told = tuple([str(attributes.get(name, "")) for name in telling_names()])
     return parts, told, str(attributes.get(PICTURE)), options.matching, settled
 
 
 def known_of(camera: Camera) -> tuple[bool, ...]:
     """Which numbers of a camera are known."""
     numbers = camera.world_to_camera, camera.fov_x, camera.near, camera.far, camera.max_velocity, camera.shutter
-    return tuple(number is not None for number in numbers)
+    return tuple([number is not None for number in numbers])
 
 
 class Planner:
