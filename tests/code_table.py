@@ -1,7 +1,8 @@
 """What the package's code is like, in numbers that say where a reader has to stop.
 
-`python -m tests.code_table` prints the table; `--list` also says where each thing stands, `--frame` also runs the
-sample room and counts what one steady frame passes (half a minute). Nothing here is a limit.
+`python -m tests.code_table` prints the table; `--list` also says where each thing stands, `--frame`
+also runs the sample room and counts what one steady frame passes (half a minute). Nothing here is a
+limit.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ def find_wide_lines(sources: list[Source]) -> list[str]:
 
 
 def count_parameters(function: Function) -> int:
-    """Parameters that a caller can give: all but `self` and `cls`; *args and **options count as one each."""
+    """Parameters that a caller can give: all but `self` and `cls`; *args and **options count as one
+    each."""
     given = function.args
     plain = [argument.arg for argument in (*given.posonlyargs, *given.args)]
     own = len(plain) - (plain[:1] in (["self"], ["cls"]))
@@ -135,8 +137,12 @@ def main() -> None:
     """Print the table, and what was found where that is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--list", action="store_true", help="say where each thing stands")
-    parser.add_argument("--frame", action="store_true", help="also count what a steady frame passes")
-    parser.add_argument("--under", default="", metavar="FOLDER", help="look only at modules below it, such as io")
+    parser.add_argument(
+        "--frame", action="store_true", help="also count what a steady frame passes"
+    )
+    parser.add_argument(
+        "--under", default="", metavar="FOLDER", help="look only at modules below it, such as io"
+    )
     arguments = parser.parse_args()
     sources = [source for source in read_sources() if source.path.startswith(arguments.under)]
     if arguments.list:

@@ -1,4 +1,5 @@
-"""OpenImageIO as the encoder of pictures: whole files, and what they say of a picture beside the pixels."""
+"""OpenImageIO as the encoder of pictures: whole files, and what they say of a picture beside the
+pixels."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ PIECE_ROWS = 16
 def tag_codes(spec: oiio.ImageSpec, display: Display, path: Path) -> None:
     """Say in a PNG, TIFF or JPEG for which display its code values are.
 
-    PNG: chunk sRGB, or for other displays iCCP, an ICC profile, and before it cICP (ITU-T H.273) where that can say it.
-    TIFF and JPEG: an ICC profile.
+    PNG: chunk sRGB, or for other displays iCCP, an ICC profile, and before it cICP (ITU-T H.273)
+    where that can say it. TIFF and JPEG: an ICC profile.
     """
     if path.suffix.lower() == ".png" and display.name == "srgb":
         spec.attribute("oiio:ColorSpace", "sRGB")
@@ -48,7 +49,9 @@ def encode_all(
         written = written and output.write_scanlines(row, row + len(pixels), 0, pixels)
         row += len(pixels)
     closed = output.close()
-    lines = [line for line in output.geterror().splitlines() if line and "Exif" not in line]  # of TIFF, harmless
+    lines = [
+        line for line in output.geterror().splitlines() if line and "Exif" not in line
+    ]  # of TIFF, harmless
     if lines or not (written and closed):
         raise OSError(lines[0] if lines else "unknown reason")
 
@@ -58,7 +61,9 @@ def encode_pixel(suffix: str, spec: oiio.ImageSpec) -> bytes:
     pixel = oiio.ImageSpec(spec)
     pixel.width = pixel.height = 1
     with memory_file(suffix) as path:
-        encode_all(path, suffix, pixel, lambda rows: np.zeros((1, 1, spec.nchannels), np.float32), None)
+        encode_all(
+            path, suffix, pixel, lambda rows: np.zeros((1, 1, spec.nchannels), np.float32), None
+        )
         return path.read_bytes()
 
 
@@ -66,7 +71,9 @@ def cut_pieces(
     spec: oiio.ImageSpec, convert: Pixels, relax: Callable[[], None] | None
 ) -> Iterator[np.ndarray]:
     """The picture some rows at a time."""
-    step = max(PIECE_ROWS, PIECE_BYTES // (4 * spec.width * spec.nchannels) // PIECE_ROWS * PIECE_ROWS)
+    step = max(
+        PIECE_ROWS, PIECE_BYTES // (4 * spec.width * spec.nchannels) // PIECE_ROWS * PIECE_ROWS
+    )
     for first in range(0, spec.height, step):
         yield np.ascontiguousarray(convert(slice(first, min(spec.height, first + step))))
         if relax is not None:

@@ -1,4 +1,5 @@
-"""What the headers of a frame's files say, by the names that a profile gives to header attributes."""
+"""What the headers of a frame's files say, by the names that a profile gives to header
+attributes."""
 
 from __future__ import annotations
 
@@ -19,9 +20,11 @@ WORLD_TO_CAMERA_NUMBERS = 16
 
 
 def merge_headers(files: Iterable[ImageFile]) -> dict[str, Any]:
-    """Header attributes of all parts. If several have one, the smallest part's counts, and of those the first's.
+    """Header attributes of all parts. If several have one, the smallest part's counts, and of those
+    the first's.
 
-    A larger part's jitter belongs to guides. Beside a picture that postfx wrote, other parts do not count.
+    A larger part's jitter belongs to guides. Beside a picture that postfx wrote, other parts do not
+    count.
     """
     parts = [(part, file.headers[part.index]) for file in files for part in file.parts]
     parts = [(part, header) for part, header in parts if part.is_picture] or parts
@@ -41,12 +44,15 @@ def _size_of_display(entry: tuple[Part, Mapping[str, Any]]) -> int:
 def tell_colours(merged: Mapping[str, Any], file: ImageFile, part: int) -> dict[str, Any]:
     """Merged attributes in which those about colours are of the colour's own part of its file."""
     found = gather_attributes(file.headers[part], file.headers.values())
-    kept = {name: value for name, value in merged.items() if name != INTEROP and is_given(name, value)}
+    kept = {
+        name: value for name, value in merged.items() if name != INTEROP and is_given(name, value)
+    }
     return kept | found
 
 
 class Facts:
-    """Header attributes by the names that a profile gives them; `layer` stands for {layer} in these."""
+    """Header attributes by the names that a profile gives them; `layer` stands for {layer} in
+    these."""
 
     def __init__(self, profile: Profile, layer: str, attributes: Mapping[str, Any]) -> None:
         self._profile, self._layer, self._attributes = profile, layer, attributes

@@ -50,9 +50,13 @@ UNSETTLED = Settled()
 
 
 def read_planes(
-    files: Mapping[str, ImageFile], plans: Iterable[RowsPlan], camera: Camera, scratch: Scratch | None = None
+    files: Mapping[str, ImageFile],
+    plans: Iterable[RowsPlan],
+    camera: Camera,
+    scratch: Scratch | None = None,
 ) -> dict[Role, np.ndarray]:
-    """Planes at the sizes that they have, some rows of all at a time, in arrays of `scratch` if it is given."""
+    """Planes at the sizes that they have, some rows of all at a time, in arrays of `scratch` if it
+    is given."""
     new = scratch.empty if scratch else partial(np.empty, dtype=np.float32)
     planes: dict[Role, np.ndarray] = {}
     for plan in plans:
@@ -67,7 +71,11 @@ class _Rows:
     """Reads rows of planes of one size."""
 
     def __init__(
-        self, files: Mapping[str, ImageFile], plan: RowsPlan, planes: Mapping[Role, np.ndarray], camera: Camera
+        self,
+        files: Mapping[str, ImageFile],
+        plan: RowsPlan,
+        planes: Mapping[Role, np.ndarray],
+        camera: Camera,
     ) -> None:
         self._files, self._plan, self._planes, self._camera = files, plan, planes, camera
         self._height = len(next(iter(planes.values())))
@@ -77,14 +85,17 @@ class _Rows:
         count = oiio.get_int_attribute("threads")
         straight = self._plan.are_together and self._reads_straight()
         if scratch:
-            held = 8 * sum(plane.nbytes for plane in self._planes.values())  # twice, with channels that nobody wants
+            # Twice as much, with channels that nobody wants.
+            held = 8 * sum(plane.nbytes for plane in self._planes.values())
             for rows in scratch.pieces(self._height, held // self._height):
                 if not (straight and self._read_straight(rows)):
                     self._read_any(rows)
             return
         step = rows_of_task(count) if straight else min(max(FEWEST_ROWS, 16 * count), MOST_ROWS)
         step = -(-step // self._plan.chunk) * self._plan.chunk
-        pieces = [(first, min(self._height, first + step)) for first in range(0, self._height, step)]
+        pieces = [
+            (first, min(self._height, first + step)) for first in range(0, self._height, step)
+        ]
         tasks = [partial(self._read_straight, rows) for rows in pieces]
         done = run_in_order(file_threads(count), tasks, 2 * count) if straight else repeat(False)
         for rows, is_done in zip(pieces, done, strict=False):
@@ -125,15 +136,17 @@ class _Rows:
 class FrameFiles:
     """The open files of one frame. Use as a context manager.
 
-    `paths` maps a plane's word ('' where one file holds all planes) to its file; `guides` likewise, where planes at
-    output size have files of their own. Else the planes that are larger than the colour are guides. Where there is an
-    overlay, the colour is that before transparents, if it is there. With options that estimate motion, a frame without
-    motion vectors, but with planes to estimate them from, is said to have the plane motion, which whoever reads it
-    adds. `plans` holds those of frames before: one whose headers are alike is not matched again.
+    `paths` maps a plane's word ('' where one file holds all planes) to its file; `guides` likewise,
+    where planes at output size have files of their own. Else the planes that are larger than the
+    colour are guides. Where there is an overlay, the colour is that before transparents, if it is
+    there. With options that estimate motion, a frame without motion vectors, but with planes to
+    estimate them from, is said to have the plane motion, which whoever reads it adds. `plans` holds
+    those of frames before: one whose headers are alike is not matched again.
 
-    Raises ProfileError when near, far or field of view of such a depth is missing, MissingFrameError or ReadError when
-    a file cannot be opened, MissingPlaneError when `guides` hold no guide, and for a layer or view that is not there,
-    StrengthError when what to leave is not there.
+    Raises ProfileError when near, far or field of view of such a depth is missing,
+    MissingFrameError or ReadError when a file cannot be opened, MissingPlaneError when `guides`
+    hold no guide, and for a layer or view that is not there, StrengthError when what to leave is
+    not there.
 
     Attributes:
         files: the open files by their words.
@@ -155,13 +168,18 @@ class FrameFiles:
         self._stack, self._options = ExitStack(), options
         self._guiding: FrameFiles | None = None
         try:
-            self.files = {word: self._stack.enter_context(ImageFile(path)) for word, path in paths.items()}
+            self.files = {
+                word: self._stack.enter_context(ImageFile(path)) for word, path in paths.items()
+            }
             self.path = next(iter(self.files.values())).path
             self.plan, self.layout = self._find_plan(settled, guides, plans or Plans())
             self.guides = self._find_guides()
             entries = options.left_alone
-            self.alone = LeftAlone(entries, self.plan.index, self.layout, self.files, not settled.named) \
-                if entries else None
+            self.alone = (
+                LeftAlone(entries, self.plan.index, self.layout, self.files, not settled.named)
+                if entries
+                else None
+            )
         except BaseException:
             self._stack.close()
             raise
@@ -170,7 +188,8 @@ class FrameFiles:
     def _find_plan(
         self, settled: Settled, guides: Mapping[str, Path] | None, plans: Plans
     ) -> tuple[ReadPlan, Layout]:
-        """The plan of a frame whose headers are alike, or a new one, and the layout that it tells with this header."""
+        """The plan of a frame whose headers are alike, or a new one, and the layout that it tells
+        with this header."""
         attributes, depth = merge_headers(self.files.values()), self._options.stored_depth
         parts = {word: file.parts for word, file in self.files.items()}
         paths = {word: file.path for word, file in self.files.items()}
@@ -197,13 +216,19 @@ class FrameFiles:
         assert camera is not None, "it is told by the plan"
         return plan, plan.tell_layout(attributes, camera, self.files)
 
-    def _open_guides(self, paths: Mapping[str, Path], views: tuple[str, ...], plans: Plans) -> FrameFiles:
+    def _open_guides(
+        self, paths: Mapping[str, Path], views: tuple[str, ...], plans: Plans
+    ) -> FrameFiles:
         """Files of guides, of the view that is read where they hold several as well."""
         view = None
         if views:
             with ImageFile(next(iter(paths.values()))) as file:
-                view = next((own for own in ChannelIndex({"": file.parts}).views if own == views[0]), None)
-        return self._stack.enter_context(FrameFiles(paths, self._options.of_guides, Settled(view), plans=plans))
+                view = next(
+                    (own for own in ChannelIndex({"": file.parts}).views if own == views[0]), None
+                )
+        return self._stack.enter_context(
+            FrameFiles(paths, self._options.of_guides, Settled(view), plans=plans)
+        )
 
     def _find_guides(self) -> GuideLayout | None:
         """Guides, and the camera that the header of their file or part tells."""
@@ -247,10 +272,11 @@ class FrameFiles:
         guides: Iterable[Role] | None = None,
         scratch: Scratch | None = None,
     ) -> Frame:
-        """Frame with the planes of `roles` (None: all that are there) and these guides, in arrays of `scratch`.
+        """Frame with the planes of `roles` (None: all that are there) and these guides, in arrays
+        of `scratch`.
 
-        Without `guides`, `roles` tells what to read at whatever size it is there. Raises MissingPlaneError when one
-        of them is not there, ReadError when pixels cannot be decoded.
+        Without `guides`, `roles` tells what to read at whatever size it is there. Raises
+        MissingPlaneError when one of them is not there, ReadError when pixels cannot be decoded.
         """
         wanted, guiding = self._split_roles(roles, guides)
         if not wanted:
@@ -274,19 +300,28 @@ class FrameFiles:
             frame.part_sources = {name: part.source for name, part in self.parts.items()}
         return frame
 
-    def _read_guides(self, matches: Mapping[Role, Match], scratch: Scratch | None) -> dict[Role, np.ndarray]:
+    def _read_guides(
+        self, matches: Mapping[Role, Match], scratch: Scratch | None
+    ) -> dict[Role, np.ndarray]:
         """Guides at their size."""
         if not matches or not self.guides:
             return {}
         of = self._guiding or self
-        return read_planes(of.files, of.plan.rows(matches, of.layout.paths), self.guides.camera, scratch)
+        return read_planes(
+            of.files, of.plan.rows(matches, of.layout.paths), self.guides.camera, scratch
+        )
 
     def select_present(
         self, roles: Iterable[Role] | None, guides: Iterable[Role] | None
     ) -> tuple[list[Role] | None, list[Role] | None]:
         """Those of these roles and guides that are there, and the colour whether it is or not."""
         offered = self.guides.planes if self.guides else {}
-        there = {*self.layout.planes, *self._derived(), Role.COLOUR, *(offered if guides is None else ())}
+        there = {
+            *self.layout.planes,
+            *self._derived(),
+            Role.COLOUR,
+            *(offered if guides is None else ()),
+        }
         return (None if roles is None else [Role(role) for role in roles if role in there],
                 None if guides is None else [Role(role) for role in guides if role in offered])
 
@@ -294,7 +329,9 @@ class FrameFiles:
         """Where a guide is; MissingPlaneError when it is not there at output size."""
         if self.guides is None or role not in self.guides.planes:
             path = self.guides.path if self.guides else self.path
-            raise MissingPlaneError(f"{path}: no plane '{role}' at output size, unlike frames before: render it so")
+            raise MissingPlaneError(
+                f"{path}: no plane '{role}' at output size, unlike frames before: render it so"
+            )
         return self.guides.planes[role]
 
     def match(self, role: Role) -> Match:
@@ -312,13 +349,15 @@ class FrameFiles:
         return find_unread(self.plan, self.layout)
 
     def unread_motion(self) -> dict[str, tuple[Channel, ...]]:
-        """Layers of the colour's size whose names suggest motion, and their channels; none where motion is read."""
+        """Layers of the colour's size whose names suggest motion, and their channels; none where
+        motion is read."""
         return find_unread_motion(self.plan, self.layout)
 
     def _derived(self) -> set[Role]:
         """Planes that are not in the files but are made from them."""
         made = {Role.STRENGTH} if self.alone else set()
-        made |= {Role.MOTION} if self._options.estimates_motion and {*SEEN} & self.layout.planes.keys() else set()
+        if self._options.estimates_motion and {*SEEN} & self.layout.planes.keys():
+            made.add(Role.MOTION)
         return made - self.layout.planes.keys()
 
     @property
@@ -336,14 +375,23 @@ class FrameFiles:
             return planes, [Role(role) for role in guides]
         if roles is None:
             return planes, list(offered)
-        return [role for role in planes if role in held or role not in offered], [r for r in planes if r in offered]
+        here = [role for role in planes if role in held or role not in offered]
+        return here, [role for role in planes if role in offered]
 
     def _frame(
-        self, number: int, planes: dict[Role, np.ndarray], guides: dict[Role, np.ndarray], first: Channel
+        self,
+        number: int,
+        planes: dict[Role, np.ndarray],
+        guides: dict[Role, np.ndarray],
+        first: Channel,
     ) -> Frame:
         layout, camera, part = self.layout, self.layout.camera, first.part
         facts = Facts(layout.profile, layout.layer, layout.attributes)
-        windows = {"displayWindow": tuple(part.display), "dataWindow": tuple(part.data), AREA: tuple(part.area)}
+        windows = {
+            "displayWindow": tuple(part.display),
+            "dataWindow": tuple(part.data),
+            AREA: tuple(part.area),
+        }
         return Frame(
             planes,
             number=number,

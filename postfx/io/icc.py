@@ -13,7 +13,8 @@ from postfx.colour.displays import SRGB, Display
 VERSION = 0x04400000
 """Of the format, 4.4."""
 MADE = (2025, 1, 1, 0, 0, 0)
-"""Year, month, day, hours, minutes and seconds of every profile, so that equal ones have the same bytes."""
+"""Year, month, day, hours, minutes and seconds of every profile, so that equal ones have the same
+bytes."""
 CURVE_SAMPLES = 1024
 """Of a curve that no formula of the format describes."""
 HEADER_BYTES = 128
@@ -27,8 +28,8 @@ FIXED_UNIT = 65536
 def make_profile(display: Display) -> bytes:
     """Profile of a display's code values.
 
-    A curve cannot describe PQ and HLG up to their peak. It ends at diffuse white, so software without HDR clips
-    brighter lights there; the tag `cicp` tells other software the true encoding.
+    A curve cannot describe PQ and HLG up to their peak. It ends at diffuse white, so software
+    without HDR clips brighter lights there; the tag `cicp` tells other software the true encoding.
     """
     primaries = display.kind.primaries
     colorants = adapt(primaries, D50_XYZ)
@@ -64,7 +65,9 @@ def _assemble(tags: dict[bytes, bytes]) -> bytes:
 def _header(size: int) -> bytes:
     kinds = struct.pack(">4s4s4s6H4s", b"mntr", b"RGB ", b"XYZ ", *MADE, b"acsp")
     white = b"".join(map(_encode_fixed, D50_XYZ))
-    return (struct.pack(">I4sI", size, b"", VERSION) + kinds + bytes(28) + white).ljust(HEADER_BYTES, b"\0")
+    return (struct.pack(">I4sI", size, b"", VERSION) + kinds + bytes(28) + white).ljust(
+        HEADER_BYTES, b"\0"
+    )
 
 
 def _curve(display: Display) -> bytes:

@@ -1,4 +1,5 @@
-"""PNG files: our own chunks of pixels, in a third of OpenImageIO's time, between its chunks of everything else."""
+"""PNG files: our own chunks of pixels, in a third of OpenImageIO's time, between its chunks of
+everything else."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ DEFLATE_LEVEL = 1
 def write_png(path: Path, like: bytes, size: tuple[int, int], pieces: Iterable[np.ndarray]) -> None:
     """Write a PNG of a width and height with all chunks of another, `like`, but for its pixels.
 
-    `pieces` are rows from the top, (rows, width, channels) uint8 or uint16, channels and type as in `like`.
+    `pieces` are rows from the top, (rows, width, channels) uint8 or uint16, channels and type as in
+    `like`.
     """
     with path.open("wb") as file:
         file.write(like[:SIGNATURE_BYTES])
@@ -58,7 +60,11 @@ def _compress(pieces: Iterable[np.ndarray]) -> Iterator[bytes]:
     stream, above = isal_zlib.compressobj(DEFLATE_LEVEL), None
     for pixels in pieces:
         step = pixels.shape[2] * pixels.itemsize
-        rows = pixels.astype(pixels.dtype.newbyteorder(">"), copy=False).view(np.uint8).reshape(len(pixels), -1)
+        rows = (
+            pixels.astype(pixels.dtype.newbyteorder(">"), copy=False)
+            .view(np.uint8)
+            .reshape(len(pixels), -1)
+        )
         filtered = np.empty((len(rows), rows.shape[1] + 1), np.uint8)
         paeth(rows, np.zeros_like(rows[0]) if above is None else above, step, filtered)
         above = rows[-1]

@@ -25,23 +25,33 @@ class Dither(StrEnum):
     NONE = "none"
 
 
-def quantise(codes: np.ndarray, bits: int, dither: Dither, number: int = 1, first_row: int = 0) -> np.ndarray:
-    """Code values (height, width, channels) to whole numbers of 8 or 16 bits; cut to 0..1, NaN becomes 0.
+def quantise(
+    codes: np.ndarray, bits: int, dither: Dither, number: int = 1, first_row: int = 0
+) -> np.ndarray:
+    """Code values (height, width, channels) to whole numbers of 8 or 16 bits; cut to 0..1, NaN
+    becomes 0.
 
-    Dithered, a value between two whole numbers becomes one of them, the larger the more often the nearer it is: the
-    error stays below 1, and over each 64x64 pixels of a flat area the mean is kept to 1/8192. The pattern depends on
-    the pixel, the channel and, if it moves, on the frame's number; `first_row` is the place of the first row. 16 bits
-    are not dithered.
+    Dithered, a value between two whole numbers becomes one of them, the larger the more often the
+    nearer it is: the error stays below 1, and over each 64x64 pixels of a flat area the mean is
+    kept to 1/8192. The pattern depends on the pixel, the channel and, if it moves, on the frame's
+    number; `first_row` is the place of the first row. 16 bits are not dithered.
     """
     top = np.float32(2**bits - 1)
     if bits != 8 or dither is Dither.NONE:
         rounded: np.ndarray = np.rint(np.clip(np.nan_to_num(codes), 0, 1) * top)
         return rounded.astype(np.uint8 if bits == 8 else np.uint16)
     height, width, channels = codes.shape
-    turns = range(0, channels) if dither is Dither.STATIC else range(3 * number, 3 * number + channels)
+    turns = (
+        range(0, channels) if dither is Dither.STATIC else range(3 * number, 3 * number + channels)
+    )
     whole = np.empty((height, width * channels), np.uint8)
     flat = np.ascontiguousarray(codes, np.float32).reshape(whole.shape)
-    dither_rows(flat, top, np.stack([_thresholds(first_row, turn) for turn in turns], 2).reshape(SIDE, -1), whole)
+    dither_rows(
+        flat,
+        top,
+        np.stack([_thresholds(first_row, turn) for turn in turns], 2).reshape(SIDE, -1),
+        whole,
+    )
     return whole.reshape(codes.shape)
 
 
@@ -53,7 +63,8 @@ def _thresholds(first_row: int, turn: int) -> np.ndarray:
 
 @cache
 def blue_noise(side: int = SIDE) -> np.ndarray:
-    """Thresholds (side, side) float32, each of (0.5 .. side^2 - 0.5) / side^2 once, repeating without a seam.
+    """Thresholds (side, side) float32, each of (0.5 .. side^2 - 0.5) / side^2 once, repeating
+    without a seam.
 
     Source: Ulichney, "The void-and-cluster method for dither array generation", 1993.
     """

@@ -1,4 +1,5 @@
-"""What can be said about a sequence that is read: every option once, with its words and what they mean."""
+"""What can be said about a sequence that is read: every option once, with its words and what they
+mean."""
 
 from __future__ import annotations
 
@@ -34,34 +35,36 @@ class ReadOptions:
         frames: '1-100x2', '1,5,8-12' or numbers; None for all that are on the disk.
         profile: name of a built-in renderer profile or path of a TOML file; None to detect it.
         planes: roles to read, of planes and guides; None for all that are there.
-        guides: files of planes at output size (albedos, normal, roughness, depth), named like those of
-            the sequence; frame numbers must match. None: planes there that are larger than the colour,
-            if there are any.
+        guides: files of planes at output size (albedos, normal, roughness, depth), named like those
+            of the sequence; frame numbers must match. None: planes there that are larger than the
+            colour, if there are any.
         depth: what the depth plane holds, in place of what the profile says: 'reversed,near=0.1',
             'ray,fov=54.4', 'planar,miss=0', see `postfx.io.convert.parse_depth`.
-        cuts: frame numbers at which a shot begins, in place of what the headers say; empty for nowhere.
-            None: by the headers (postfx:reset). Frames after a gap are marked anyway.
+        cuts: frame numbers at which a shot begins, in place of what the headers say; empty for
+            nowhere. None: by the headers (postfx:reset). Frames after a gap are marked anyway.
         leave: what is left as it is, which becomes the plane strength: names in a Cryptomatte, ids,
             'auto' for sky and misses, such as 'auto,logo,glass_*=0.5,7-9@id', see
             `postfx.masks.parse_leave`.
-        colourspace: linear primaries of colours and reflectances, guides included: rec709, p3, rec2020,
-            acescg or aces2065-1, in place of what headers say (chromaticities, colorInteropID; Rec.709
-            without any). They are converted to Rec.709, where light outside its gamut is negative.
-            'native' leaves them as they are.
+        colourspace: linear primaries of colours and reflectances, guides included: rec709, p3,
+            rec2020, acescg or aces2065-1, in place of what headers say (chromaticities,
+            colorInteropID; Rec.709 without any). They are converted to Rec.709, where light outside
+            its gamut is negative. 'native' leaves them as they are.
         without: roles of planes to take as absent, such as `Role.OVERLAY`.
-        layer: view layer or other layer whose channels are read; None for that with the most planes.
-        view: of stereo files, such as 'left'; None for the first, or for all where {view} in the name
-            says that each has files of its own. Several, such as 'left,right', or 'all': each frame is
-            of the first one and holds the others in `Frame.views`.
-        aov: layers that add up to the picture, 'key,fill', or 'auto' for those that the profile knows,
-            which become `Frame.parts`.
+        layer: view layer or other layer whose channels are read; None for that with the most
+            planes.
+        view: of stereo files, such as 'left'; None for the first, or for all where {view} in the
+            name says that each has files of its own. Several, such as 'left,right', or 'all': each
+            frame is of the first one and holds the others in `Frame.views`.
+        aov: layers that add up to the picture, 'key,fill', or 'auto' for those that the profile
+            knows, which become `Frame.parts`.
         aov_denoise: other layers by their kind, 'normal=N,depth=Z', which become parts as well.
         clamp_fireflies: how many times as bright as the pixels around it a pixel may be; see
             `postfx.repair.clamp_fireflies`.
-        motion: 'file' takes motion from the files alone. 'auto' estimates it from albedo, normal and
-            depth, and those of the frame before, where files have none, or zeros although the planes
-            move; 'estimate' always does.
-        scratch: memory that planes lie in, and are read into piece by piece; None for arrays of NumPy.
+        motion: 'file' takes motion from the files alone. 'auto' estimates it from albedo, normal
+            and depth, and those of the frame before, where files have none, or zeros although the
+            planes move; 'estimate' always does.
+        scratch: memory that planes lie in, and are read into piece by piece; None for arrays of
+            NumPy.
     """
 
     frames: str | Iterable[int] | None = None
@@ -96,7 +99,9 @@ class ReadOptions:
     @cached_property
     def absent(self) -> frozenset[Role]:
         """Roles of planes that count as absent; motion that is always estimated is not read."""
-        return frozenset(self.without) | ({Role.MOTION} if self.motion == ESTIMATED_MOTION else set())
+        return frozenset(self.without) | (
+            {Role.MOTION} if self.motion == ESTIMATED_MOTION else set()
+        )
 
     @cached_property
     def stored_depth(self) -> DepthOption | None:
@@ -119,8 +124,8 @@ class ReadOptions:
         return parse_limit(self.clamp_fireflies)
 
     def check(self) -> None:
-        """Raise the errors of words that are looked at when they are needed: OptionError, DepthOptionError or
-        StrengthError."""
+        """Raise the errors of words that are looked at when they are needed: OptionError,
+        DepthOptionError or StrengthError."""
         _ = self.brightest, self.parts, self.stored_depth, self.left_alone
 
     @cached_property
@@ -144,7 +149,8 @@ class ReadOptions:
 
 
 def parse_views(text: str | None) -> tuple[str | None, tuple[str, ...], bool]:
-    """First view (None for the file's first), the others, and whether all are meant, of 'left', 'left,right' or 'all'.
+    """First view (None for the file's first), the others, and whether all are meant, of 'left',
+    'left,right' or 'all'.
 
     Raises SequenceError where a name is given twice or is empty.
     """

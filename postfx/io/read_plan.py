@@ -1,8 +1,9 @@
 """Where all that is read of a frame lies: found once, for all frames whose headers are alike.
 
-The frames of a sequence differ in their pixels and in what their headers say of the camera and the moment. Their
-parts, channels and windows are the same. So the channels are matched with a profile for the first frame, and a plan is
-kept. A later frame with the same key takes it; only its header's facts are read anew.
+The frames of a sequence differ in their pixels and in what their headers say of the camera and the
+moment. Their parts, channels and windows are the same. So the channels are matched with a profile
+for the first frame, and a plan is kept. A later frame with the same key takes it; only its header's
+facts are read anew.
 """
 
 from __future__ import annotations
@@ -71,11 +72,13 @@ class Settled(NamedTuple):
 
 
 MOST_PLANS = 32
-"""That are kept: a sequence has one for each view, and for each kind of header that its frames have."""
+"""That are kept: a sequence has one for each view, and for each kind of header that its frames
+have."""
 
 
 class Plans:
-    """The plans of a sequence by their keys; the oldest goes first. Several threads may find and keep."""
+    """The plans of a sequence by their keys; the oldest goes first. Several threads may find and
+    keep."""
 
     def __init__(self) -> None:
         self._held: dict[object, ReadPlan] = {}
@@ -114,19 +117,24 @@ class RowsPlan(NamedTuple):
 
 
 def plan_rows(matches: Mapping[Role, Match], paths: Mapping[str, Path]) -> list[RowsPlan]:
-    """A plan for the planes of each size. Raises ReadError for channels of one plane that differ in size."""
+    """A plan for the planes of each size. Raises ReadError for channels of one plane that differ in
+    size."""
     sizes: dict[tuple[int, int], dict[Role, Match]] = {}
     for role, match in matches.items():
         areas = {(channel.part.area.width, channel.part.area.height) for channel in match.channels}
         if len(areas) > 1:
-            raise ReadError(f"{paths[match.channels[0].word]}: channels {match.names} differ in size; "
-                            "write them as one part")
+            raise ReadError(
+                f"{paths[match.channels[0].word]}: channels {match.names} differ in size; "
+                "write them as one part"
+            )
         sizes.setdefault(areas.pop(), {})[role] = match
     return [_plan_rows(found, size) for size, found in sizes.items()]
 
 
 def _plan_rows(matches: Mapping[Role, Match], size: tuple[int, int]) -> RowsPlan:
-    fills = {channel: fill_value(match.rule) for match in matches.values() for channel in match.channels}
+    fills = {
+        channel: fill_value(match.rule) for match in matches.values() for channel in match.channels
+    }
     parts: dict[Part, tuple[str, Part, dict[Role, list[str]]]] = {}
     for role, match in matches.items():
         first = match.channels[0]
@@ -143,15 +151,20 @@ class ReadPlan:
 
     Attributes:
         index: all channels of the frame's files.
-        layout: planes of the frame's size; its attributes, camera and paths are those of the frame that was matched.
+        layout: planes of the frame's size; its attributes, camera and paths are those of the frame
+            that was matched.
         guides: planes at output size, of these files or of files of their own.
         guiding: the plan of files of their own; None without any.
         parts: layers that are parts of the picture, by name.
-        views: of stereo files, those that hold a colour, the one that is read first; empty for files of one view.
+        views: of stereo files, those that hold a colour, the one that is read first; empty for
+            files of one view.
         area: rectangle that the planes cover; None without any.
-        colour: a channel of the part whose header tells what the colours are; None without a colour.
-        source: where the colour is, for whoever writes the frame, without attributes; None if it is in several parts.
-        known: which numbers of the camera the header told, on which the planes depend that could be used.
+        colour: a channel of the part whose header tells what the colours are; None without a
+            colour.
+        source: where the colour is, for whoever writes the frame, without attributes; None if it is
+            in several parts.
+        known: which numbers of the camera the header told, on which the planes depend that could be
+            used.
     """
 
     index: ChannelIndex
@@ -164,14 +177,18 @@ class ReadPlan:
     colour: Channel | None
     source: ColourSource | None
     known: tuple[bool, ...]
-    _rows: dict[tuple[Role, ...], tuple[Mapping[Role, Match], list[RowsPlan]]] = field(default_factory=dict)
+    _rows: dict[tuple[Role, ...], tuple[Mapping[Role, Match], list[RowsPlan]]] = field(
+        default_factory=dict
+    )
 
     def tell_camera(self, attributes: Mapping[str, Any], depth: DepthOption | None) -> Camera:
         """The camera of another frame, by its header; depth: what the user says of it."""
         camera = Facts(self.layout.profile, self.layout.layer, attributes).camera()
         return depth.camera(camera) if depth else camera
 
-    def tell_layout(self, attributes: Mapping[str, Any], camera: Camera, files: Mapping[str, ImageFile]) -> Layout:
+    def tell_layout(
+        self, attributes: Mapping[str, Any], camera: Camera, files: Mapping[str, ImageFile]
+    ) -> Layout:
         """The layout of another frame, of its merged attributes, camera and open files."""
         if self.area and self.area.is_wider:
             camera = camera_over(camera, self.area)
@@ -190,7 +207,8 @@ class ReadPlan:
 
 
 def camera_over(camera: Camera, area: Area) -> Camera:
-    """The camera of planes that cover an area: its field of view and motion still refer to the display window."""
+    """The camera of planes that cover an area: its field of view and motion still refer to the
+    display window."""
     display, window = area
     shift = (_middle(window.x0, window.x1) - _middle(display.x0, display.x1),
              _middle(window.y0, window.y1) - _middle(display.y0, display.y1))
@@ -202,9 +220,13 @@ def _middle(first: int, last: int) -> float:
 
 
 def key_of(
-    files: Mapping[str, Parts], attributes: Mapping[str, Any], options: ReadOptions, settled: Settled
+    files: Mapping[str, Parts],
+    attributes: Mapping[str, Any],
+    options: ReadOptions,
+    settled: Settled,
 ) -> tuple[object, ...]:
-    """All on which a plan depends but the numbers of the camera: frames with one key have one plan."""
+    """All on which a plan depends but the numbers of the camera: frames with one key have one
+    plan."""
     parts = tuple([(word, *[part.key for part in own]) for word, own in files.items()])
     told = tuple([str(attributes.get(name, "")) for name in telling_names()])
     return parts, told, str(attributes.get(PICTURE)), options.matching, settled
@@ -212,15 +234,22 @@ def key_of(
 
 def known_of(camera: Camera) -> tuple[bool, ...]:
     """Which numbers of a camera are known."""
-    numbers = camera.world_to_camera, camera.fov_x, camera.near, camera.far, camera.max_velocity, camera.shutter
+    numbers = (
+        camera.world_to_camera,
+        camera.fov_x,
+        camera.near,
+        camera.far,
+        camera.max_velocity,
+        camera.shutter,
+    )
     return tuple([number is not None for number in numbers])
 
 
 class Planner:
     """Makes the plan of one frame, of the facts of its headers alone.
 
-    Raises ProfileError when near, far or field of view of a depth is missing, MissingPlaneError for a layer or view
-    that is not there.
+    Raises ProfileError when near, far or field of view of a depth is missing, MissingPlaneError for
+    a layer or view that is not there.
     """
 
     def __init__(
@@ -238,7 +267,9 @@ class Planner:
         self._area = _area_of(self._layout, settled.area)
         if self._area and self._area.is_wider:
             display, window = self._area
-            self._files = {word: _widen(parts, display, window) for word, parts in self._files.items()}
+            self._files = {
+                word: _widen(parts, display, window) for word, parts in self._files.items()
+            }
             self.index, self._layout = self._look()
 
         # Whose header tells of colours is decided by the render's own colour.
@@ -254,8 +285,10 @@ class Planner:
         layout, guides = self._layout, self._guides
         if guiding and path:
             if guides:
-                layout.warnings.append(f"planes {', '.join(guides)} are larger than the colour: not read beside the "
-                                       "guides given")
+                layout.warnings.append(
+                    f"planes {', '.join(guides)} are larger than the colour: not read beside the "
+                    "guides given"
+                )
             layout.warnings += [f"guides: {warning}" for warning in guiding.layout.warnings]
             guides = planes_that_guide(guiding.layout, path)
         if Role.OVERLAY in layout.planes or Role.OVERLAY in guides:
@@ -265,12 +298,25 @@ class Planner:
             colour = layout.planes.get(Role.COLOUR)
             if colour is None:
                 raise missing_error(Role.COLOUR, layout, ChannelIndex(self._files))
-            parts = find_parts(self._options.parts, self.index, layout, str(self._path), colour.size)
-        return ReadPlan(self.index, layout, guides, guiding, parts, self._views, self._area, self._colour,
-                        _find_source(self.index, layout, parts), self.known)
+            parts = find_parts(
+                self._options.parts, self.index, layout, str(self._path), colour.size
+            )
+        return ReadPlan(
+            self.index,
+            layout,
+            guides,
+            guiding,
+            parts,
+            self._views,
+            self._area,
+            self._colour,
+            _find_source(self.index, layout, parts),
+            self.known,
+        )
 
     def _look(self) -> tuple[ChannelIndex, Layout]:
-        """Index of all channels, and the layout of the planes; a lone picture in a layer is the colour."""
+        """Index of all channels, and the layout of the planes; a lone picture in a layer is the
+        colour."""
         view, layer, options = self._settled.view, self._layer, self._options
         index = ChannelIndex(self._files, view, layer or "")
         if view and view not in index.views:
@@ -288,12 +334,15 @@ class Planner:
         if lone:
             index = ChannelIndex(self._files, view, lone)
             layout = make_layout(index, *given)
-            layout.warnings.append(f"layer {make_printable(lone)} is read as the picture: no other holds colours")
+            layout.warnings.append(
+                f"layer {make_printable(lone)} is read as the picture: no other holds colours"
+            )
         return index, layout
 
     def _holds_colour(self, view: str) -> bool:
         index, profile = ChannelIndex(self._files, view), self._layout.profile
-        return Role.COLOUR in make_layout(index, self._paths, {}, profile, without=_ALL_BUT_COLOUR).planes
+        layout = make_layout(index, self._paths, {}, profile, without=_ALL_BUT_COLOUR)
+        return Role.COLOUR in layout.planes
 
 
 def _widen(parts: Parts, display: Window, window: Window) -> Parts:
@@ -302,9 +351,11 @@ def _widen(parts: Parts, display: Window, window: Window) -> Parts:
 
 
 def _area_of(layout: Layout, given: Area | None) -> Area | None:
-    """Display window and data window together, of the colour or else of the first plane; None without planes.
+    """Display window and data window together, of the colour or else of the first plane; None
+    without planes.
 
-    Where a frame before had the same display window, `given`, that frame's area is kept: all frames are of one size.
+    Where a frame before had the same display window, `given`, that frame's area is kept: all frames
+    are of one size.
     """
     match = layout.planes.get(Role.COLOUR) or next(iter(layout.planes.values()), None)
     if match is None:
@@ -320,7 +371,8 @@ _SHOWN_LAYERS = 12
 
 
 def missing_error(role: Role, layout: Layout, index: ChannelIndex) -> MissingPlaneError:
-    """The error for a plane that is not there: what was looked for, and the fix. index: of all channels."""
+    """The error for a plane that is not there: what was looked for, and the fix. index: of all
+    channels."""
     profile, rules = layout.profile, layout.profile.rules(role)
     looked = [names for rule in rules for names in rule.candidates(layout.layer)][:2]
     hint = next((rule.enable for rule in rules if rule.enable), "")
@@ -336,10 +388,12 @@ def missing_error(role: Role, layout: Layout, index: ChannelIndex) -> MissingPla
     )
 
 
-# Where the colour is, for whoever writes the frame ------------------------------------------------------------------
+# Where the colour is, for whoever writes the frame ------------------------------------------------
 
 
-def _find_source(index: ChannelIndex, layout: Layout, parts: Mapping[str, FoundPart]) -> ColourSource | None:
+def _find_source(
+    index: ChannelIndex, layout: Layout, parts: Mapping[str, FoundPart]
+) -> ColourSource | None:
     """Where the colour is, if it is in one part."""
     if Role.COLOUR not in layout.planes:
         return None
@@ -347,15 +401,23 @@ def _find_source(index: ChannelIndex, layout: Layout, parts: Mapping[str, FoundP
     if not are_together(channels):
         return None
     of_parts = chain.from_iterable(found.channels for found in parts.values())
-    replaced = {(channel.part.index, channel.name) for channel in (*_find_colour(index, layout), *of_parts)
-                if channel.word == channels[0].word}
+    replaced = {
+        (channel.part.index, channel.name)
+        for channel in (*_find_colour(index, layout), *of_parts)
+        if channel.word == channels[0].word
+    }
     names = tuple(channel.name for channel in channels)
-    return ColourSource(channels[0].part.index, names, {}, frozenset(replaced), _find_pixel_motion(layout))
+    pixels = _find_pixel_motion(layout)
+    return ColourSource(channels[0].part.index, names, {}, frozenset(replaced), pixels)
 
 
 def _find_colour(index: ChannelIndex, layout: Layout) -> Iterable[Channel]:
     """All channels that a profile takes for the colour, with their alpha."""
-    names = (names for rule in layout.profile.rules(Role.COLOUR) for names in rule.candidates(layout.layer))
+    names = (
+        names
+        for rule in layout.profile.rules(Role.COLOUR)
+        for names in rule.candidates(layout.layer)
+    )
     found = [layout.planes[Role.COLOUR].channels, *filter(None, map(index.find, names))]
     for role in (Role.COLOUR, Role.ALPHA):
         found += [layout.planes[role].channels] if role in layout.planes else []
@@ -367,8 +429,8 @@ def _find_colour(index: ChannelIndex, layout: Layout) -> Iterable[Channel]:
 
 
 def _find_pixel_motion(layout: Layout) -> dict[tuple[int, str], int]:
-    """Part and name of the colour's file's channels that hold motion in pixels, and their axis; what lies beside them
-    in their layer, such as Blender's motion to the next frame, included."""
+    """Part and name of the colour's file's channels that hold motion in pixels, and their axis;
+    what lies beside them in their layer, such as Blender's motion to the next frame, included."""
     match, colour = layout.planes.get(Role.MOTION), layout.planes[Role.COLOUR].channels[0]
     if match is None or match.rule.unit != "pixels" or match.channels[0].word != colour.word:
         return {}
@@ -379,9 +441,11 @@ def _find_pixel_motion(layout: Layout) -> dict[tuple[int, str], int]:
     return {(first.part.index, name): axis for name, axis in axes.items()}
 
 
-# What is not read, for whoever looks at the files --------------------------------------------------------------------
+# What is not read, for whoever looks at the files -------------------------------------------------
 
-_MOTION = re.compile(r"motion|veloc|vector|flow|(^|[._ ])(mv\d?|forward|backward)([._ ]|$)", re.IGNORECASE)
+_MOTION = re.compile(
+    r"motion|veloc|vector|flow|(^|[._ ])(mv\d?|forward|backward)([._ ]|$)", re.IGNORECASE
+)
 """Names of layers that may hold motion."""
 
 
@@ -393,12 +457,17 @@ def find_unread(plan: ReadPlan, layout: Layout) -> list[str]:
 
 
 def find_unread_motion(plan: ReadPlan, layout: Layout) -> dict[str, tuple[Channel, ...]]:
-    """Layers of the colour's size whose names suggest motion, and their channels; none where motion is read."""
+    """Layers of the colour's size whose names suggest motion, and their channels; none where motion
+    is read."""
     if Role.MOTION in layout.planes or Role.COLOUR not in layout.planes:
         return {}
     used = {match.channels[0] for match in layout.planes.values()}
     size = layout.planes[Role.COLOUR].size
-    return {layer: channels for layer, channels in plan.index.pairs_like(_MOTION) if channels[0] not in used
-            and (channels[0].part.area.width, channels[0].part.area.height) == size}
+    return {
+        layer: channels
+        for layer, channels in plan.index.pairs_like(_MOTION)
+        if channels[0] not in used
+        and (channels[0].part.area.width, channels[0].part.area.height) == size
+    }
 
 

@@ -1,4 +1,5 @@
-"""Whether a written file is whole: encoders of JPEG, PNG and TIFF do not tell when a disk is full."""
+"""Whether a written file is whole: encoders of JPEG, PNG and TIFF do not tell when a disk is
+full."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ TIFF_LAYOUTS = {
     b"II+\0": ("<", "Q", "Q"),
     b"MM\0+": (">", "Q", "Q"),
 }
-"""First bytes of a TIFF -> byte order, and how a directory's count of entries and offsets are stored."""
+"""First bytes of a TIFF -> byte order, and how a directory's count of entries and offsets are
+stored."""
 OFFSET_TAGS = (273, 324)
 """Where strips and tiles begin."""
 COUNT_TAGS = (279, 325)
@@ -34,8 +36,8 @@ MOST_NUMBERS = 1 << 20
 
 
 def has_end(path: Path, suffix: str) -> bool:
-    """Whether a file of the format of a suffix ends well: PNG's and JPEG's last bytes are there, TIFF's directory and
-    all that it leads to, all chunks of all parts of an OpenEXR file."""
+    """Whether a file of the format of a suffix ends well: PNG's and JPEG's last bytes are there,
+    TIFF's directory and all that it leads to, all chunks of all parts of an OpenEXR file."""
     suffix = suffix.lower()
     if suffix == ".exr":
         return _is_whole_exr(path)
@@ -64,14 +66,22 @@ def _last_byte(file: BinaryIO, layout: tuple[str, str, str]) -> int:
     file.seek(*_unpack(file, order + offset))
     (count,) = _unpack(file, order + kind)
     entries = [_unpack(file, f"{order}HH{offset}{wide}s") for _ in range(min(count, MOST_ENTRIES))]
-    found = {tag: _numbers(file, order, wide, *rest) for tag, *rest in entries if tag in OFFSET_TAGS + COUNT_TAGS}
-    starts, counts = ([found[tag] for tag in tags if tag in found] for tags in (OFFSET_TAGS, COUNT_TAGS))
+    found = {
+        tag: _numbers(file, order, wide, *rest)
+        for tag, *rest in entries
+        if tag in OFFSET_TAGS + COUNT_TAGS
+    }
+    starts, counts = (
+        [found[tag] for tag in tags if tag in found] for tags in (OFFSET_TAGS, COUNT_TAGS)
+    )
     if not starts or not counts or not all(starts[0]):
         raise KeyError("strips")
     return max(map(sum, zip(starts[0], counts[0], strict=False)))
 
 
-def _numbers(file: BinaryIO, order: str, wide: int, kind: int, count: int, value: bytes) -> tuple[int, ...]:
+def _numbers(
+    file: BinaryIO, order: str, wide: int, kind: int, count: int, value: bytes
+) -> tuple[int, ...]:
     """Values of an entry: its own bytes, or those that they lead to."""
     form = f"{order}{min(count, MOST_NUMBERS)}{WHOLE_NUMBERS[kind]}"
     if struct.calcsize(form) <= wide:

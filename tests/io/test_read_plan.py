@@ -1,4 +1,5 @@
-"""A frame whose headers are like those of one before is not matched again, and is read like a frame alone."""
+"""A frame whose headers are like those of one before is not matched again, and is read like a frame
+alone."""
 
 from collections.abc import Iterator
 
@@ -10,9 +11,11 @@ from postfx.io import read_plan
 from postfx.io.sequence import Sequence, read_sequence
 
 PLANES = ("R", "G", "B", "normal.X", "normal.Y", "normal.Z", "depth.Z", "motion.X", "motion.Y")
-CAMERA_SPACE = 'name = "cam"\nextends = "generic"\n[[plane]]\nrole = "normal"\nnames = ["normal"]\n' \
-    'channels = ["XYZ"]\nspace = "camera"\n[header]\nexposure = ["lit"]\njitter = ["jitter"]\n' \
+CAMERA_SPACE = (
+    'name = "cam"\nextends = "generic"\n[[plane]]\nrole = "normal"\nnames = ["normal"]\n'
+    'channels = ["XYZ"]\nspace = "camera"\n[header]\nexposure = ["lit"]\njitter = ["jitter"]\n'
     'world_to_camera = ["worldToCamera"]\n'
+)
 TURN = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [1, 2, 3, 1]], np.float32)
 
 
@@ -34,7 +37,9 @@ def are_alike(frames: Sequence, path: str, **options: str) -> None:
     """Every frame of a sequence is the frame that it is when it is read alone."""
     for number in frames.numbers:
         got, alone = frames.read(number), read_sequence(path, [number], **options).read(number)
-        assert list(got.planes) == list(alone.planes) and got.metadata.keys() == alone.metadata.keys()
+        assert (
+            list(got.planes) == list(alone.planes) and got.metadata.keys() == alone.metadata.keys()
+        )
         for role in got.planes:
             np.testing.assert_array_equal(got[role], alone[role])
         facts = [(frame.exposure, frame.jitter, frame.source, frame.colour_source.attributes["lit"])
@@ -47,14 +52,17 @@ def test_headers_that_are_alike_are_matched_once(write_exr, ramp, tmp_path, matc
     for number in range(1, 7):
         turn = {"worldToCamera": np.roll(TURN, number, 0).ravel()} if number != 5 else {}
         channels = ramp(*PLANES, *(["extra.Y"] if number == 4 else []))
-        write_exr(f"a.{number:04d}.exr", channels, lit=0.5 * number, jitter=(0.1 * number, 0.0), **turn)
+        write_exr(
+            f"a.{number:04d}.exr", channels, lit=0.5 * number, jitter=(0.1 * number, 0.0), **turn
+        )
     path, options = str(tmp_path / "a.####.exr"), {"profile": str(tmp_path / "cam.toml")}
     frames = read_sequence(path, **options)
     numbers = []
     for number in frames.numbers:
         frame = frames.read(number)
         numbers.append((len(matched), Role.NORMAL in frame, frame.exposure))
-    # The second frame has the area of the first, the fourth another channel, the fifth no camera for its normals.
+    # The second frame has the area of the first, the fourth another channel, the fifth no camera
+    # for its normals.
     assert [count for count, *_ in numbers] == [1, 2, 2, 3, 4, 5]
     assert [held for _, held, _ in numbers] == [True, True, True, True, False, True]
     assert [told for *_, told in numbers] == [0.5, 1.0, 1.5, 2.0, 2.5, 3.0]
@@ -71,4 +79,6 @@ def test_guides_in_files_of_their_own_are_matched_once(write_exr, ramp, tmp_path
     for number in frames.numbers:
         (guide,) = frames.read(number).guides.values()
         np.testing.assert_array_equal(guide[..., 0], number * large["albedo.R"])
-    assert len(matched) == 3, "the first frame and its guides, and the second, which has the first one's area"
+    assert len(matched) == 3, (
+        "the first frame and its guides, and the second, which has the first one's area"
+    )

@@ -30,19 +30,25 @@ TABLE_STEPS = 1 << 16
 
 
 def to_halves(light: np.ndarray) -> np.ndarray:
-    """float16 nearest to light of any shape, cut to +-65504; NaN stays. Channels of (height, width, channels) lie one
-    after the other in memory, as they are written."""
+    """float16 nearest to light of any shape, cut to +-65504; NaN stays. Channels of (height, width,
+    channels) lie one after the other in memory, as they are written."""
     height, width, count = light.shape if light.ndim == 3 else (1, light.size, 1)
-    values, found = np.ascontiguousarray(light, np.float32), np.empty((count, height * width), np.uint16)
+    values, found = (
+        np.ascontiguousarray(light, np.float32),
+        np.empty((count, height * width), np.uint16),
+    )
     halve(values.reshape(-1).view(np.int32), found)
-    return np.moveaxis(found.view(np.float16).reshape(count, height, width), 0, -1).reshape(light.shape)
+    return np.moveaxis(found.view(np.float16).reshape(count, height, width), 0, -1).reshape(
+        light.shape
+    )
 
 
 def light_of(codes: np.ndarray, display: Display) -> np.ndarray:
-    """Code values (..., 3) of a display to its light, float32, 1 is white: what `Display.decode` gives, by a table
-    where all are from 0 to 1.
+    """Code values (..., 3) of a display to its light, float32, 1 is white: what `Display.decode`
+    gives, by a table where all are from 0 to 1.
 
-    Where light is a normal half float it errs by less than 2e-6 of itself; a half float is as near as 2.4e-4.
+    Where light is a normal half float it errs by less than 2e-6 of itself; a half float is as near
+    as 2.4e-4.
     """
     values = np.ascontiguousarray(codes, np.float32).reshape(-1)
     light = np.empty_like(values)
@@ -58,14 +64,16 @@ def _table(name: str) -> np.ndarray:
 
 
 def tag_light(spec: oiio.ImageSpec, primaries: Chromaticities, white: float | None = None) -> None:
-    """Say in an EXR of which primaries its light is, and how bright 1 is in cd/m2, if that is known."""
+    """Say in an EXR of which primaries its light is, and how bright 1 is in cd/m2, if that is
+    known."""
     spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), primaries)
     if white is not None:
         spec.attribute("whiteLuminance", float(white))
 
 
 class Picture(NamedTuple):
-    """What goes into a file: what OpenImageIO is told of it, its pixels, and the frame that they are of."""
+    """What goes into a file: what OpenImageIO is told of it, its pixels, and the frame that they
+    are of."""
 
     spec: oiio.ImageSpec
     convert: Pixels
@@ -78,11 +86,12 @@ def write_exr(
     relax: Callable[[], None] | None = None,
     keeps_rest: bool = False,
 ) -> None:
-    """Scanlines, in ZIP in a third of the time that OpenImageIO takes, of one picture or several views.
+    """Scanlines, in ZIP in a third of the time that OpenImageIO takes, of one picture or several
+    views.
 
-    Each chunk goes straight into the file, with `keeps_rest` together with all else that the source of
-    the pictures' frames holds. Raises OSError unless all bytes are in the file, ReadError when what is
-    kept cannot be read.
+    Each chunk goes straight into the file, with `keeps_rest` together with all else that the source
+    of the pictures' frames holds. Raises OSError unless all bytes are in the file, ReadError when
+    what is kept cannot be read.
     """
     with ExitStack() as stack:
         written = [(*_header_and_rows(picture, relax), picture.frame) for picture in pictures]
