@@ -82,11 +82,17 @@ def with_slashes(name: str) -> str:
 
 def is_utf8(name: str) -> bool:
     """Whether a file name is valid UTF-8; other bytes reach Python as lone surrogates."""
-    return not any("\ud800" <= letter <= "\udfff" for letter in name)
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def make_printable(text: str) -> str:
     """Replace characters that would break a line or control a terminal by question marks."""
+    if text.isprintable():
+        return text
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 

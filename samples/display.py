@@ -13,7 +13,7 @@ from PIL import Image
 
 import postfx
 from postfx import Role
-from postfx.io.encode import Dither, quantise
+from postfx.io.quantisation import Dither, quantise
 from postfx.passes.display import make_display_passes
 
 REFERENCE = Path(__file__).parent / "room" / "reference.0004.exr"

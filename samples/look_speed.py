@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import postfx
-from postfx.io.encode import Dither, quantise
+from postfx.io.quantisation import Dither, quantise
 from postfx.passes.display import View
 from postfx.runtime import Device
 

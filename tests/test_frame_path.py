@@ -1,8 +1,8 @@
 """How many of postfx's files a frame passes on its way through `postfx run`, once all is prepared.
 
-`python -m tests.test_frame_path` lists them, with the functions in each. Numba reports compiled kernels to a profiler
-too; they are listed but do not count, for nobody steps through them. Neither do the manifest and checkpoints, which
-are written every few seconds and not for every frame.
+`python -m tests.test_frame_path` lists them, with the functions in each and the calls. Numba reports compiled kernels
+to a profiler too; they are listed but do not count, for nobody steps through them. Neither do the manifest and
+checkpoints, which are written every few seconds and not for every frame.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import contextlib
 import sys
 import tempfile
 import threading
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import FrameType
@@ -35,11 +35,11 @@ class Watch:
     """Notes every function of postfx that is called while the frames that count are on their way.
 
     Attributes:
-        found: path below the package -> names of functions.
+        calls: path below the package and name of a function -> how often it is called.
     """
 
     def __init__(self) -> None:
-        self.found: dict[str, set[str]] = defaultdict(set)
+        self.calls: Counter[tuple[str, str]] = Counter()
         self._frames = 0
 
     def __call__(self, frame: FrameType, event: str, _: Any) -> None:
@@ -48,7 +48,24 @@ class Watch:
             return
         self._frames += code.co_qualname == "Pipeline.__call__"
         if FIRST <= self._frames < LAST:
-            self.found[str(Path(code.co_filename).relative_to(PACKAGE))].add(code.co_qualname)
+            self.calls[code.co_filename[len(str(PACKAGE)) + 1 :], code.co_qualname] += 1
+
+    @property
+    def found(self) -> dict[str, set[str]]:
+        """Path below the package -> names of functions."""
+        found: dict[str, set[str]] = defaultdict(set)
+        for path, name in self.calls:
+            found[path].add(name)
+        return found
+
+    def count_calls(self, start: str = "") -> float:
+        """Calls on a frame's way, of functions in files whose path begins so; comprehensions count as Python counts."""
+        counts = (count for (path, _), count in self.calls.items() if path.startswith(start))
+        return sum(counts) / (LAST - FIRST)
+
+    def count_functions(self, start: str = "") -> int:
+        """Functions that a reader steps into, in files whose path begins so: all but comprehensions."""
+        return sum(path.startswith(start) and not name.endswith(("comp>", "genexpr>")) for path, name in self.calls)
 
 
 @contextlib.contextmanager
@@ -64,14 +81,14 @@ def watched() -> Iterator[Watch]:
         threading.setprofile(None)  # type: ignore[arg-type]
 
 
-def files_of(folder: Path, suffix: str, *options: str) -> dict[str, set[str]]:
-    """Files, with functions, that a steady frame of the sample room passes."""
+def watch_run(folder: Path, suffix: str, *options: str) -> Watch:
+    """What steady frames of the sample room pass."""
     command = ["run", str(ROOM / "noisy.####.exr"), "-o", str(folder / f"out.####.{suffix}"), "--frames", f"1-{LAST}",
                "--model", "s", "--device", "cpu", "--threads", "2", "--run-up", "0", "--checkpoint", "1e9"]
     with pytest.MonkeyPatch.context() as patch, watched() as watch:
         patch.setattr("postfx.runs.folder.LEAST_SECONDS", 1e9)
         assert main([*command, *options]) == 0
-    return watch.found
+    return watch
 
 
 def counted(found: Iterable[str]) -> list[str]:
@@ -81,7 +98,7 @@ def counted(found: Iterable[str]) -> list[str]:
 
 @pytest.mark.parametrize("output", OUTPUTS)
 def test_a_steady_frame_passes_few_files(output: str, tmp_path: Path) -> None:
-    found = files_of(tmp_path, *OUTPUTS[output])
+    found = watch_run(tmp_path, *OUTPUTS[output]).found
     assert {"pipeline.py", "io/frame_reader.py", "io/writer.py", "runtime/commands.py"} <= set(found), "of every thread"
     passed = counted(found)
     assert len(passed) <= MOST, "\n".join(passed)
@@ -90,8 +107,9 @@ def test_a_steady_frame_passes_few_files(output: str, tmp_path: Path) -> None:
 if __name__ == "__main__":
     for name, options in OUTPUTS.items():
         with tempfile.TemporaryDirectory() as made:
-            listed = files_of(Path(made), *options)
-        functions = sum(map(len, listed.values()))
-        print(f"{name}: {len(counted(listed))} files, {len(listed)} with compiled kernels; {functions} functions")
-        for path, names in sorted(listed.items()):
-            print(f"  {path:<34}{' '.join(sorted(names))}")
+            passed = watch_run(Path(made), *options)
+        listed = passed.found
+        print(f"{name}: {len(counted(listed))} files, {len(listed)} with compiled kernels; "
+              f"{passed.count_functions()} functions, {passed.count_calls():.0f} calls a frame")
+        for file, names in sorted(listed.items()):
+            print(f"  {file:<34}{passed.count_calls(file):>6.0f} calls  {' '.join(sorted(names))}")

@@ -32,10 +32,10 @@ LEAST = 1e-7
 def read_error(path: Path) -> np.ndarray | None:
     """The plane `error` of a file (height, width), the mean of its channels; None where it has none."""
     with ImageFile(path) as file:
-        channels = ChannelIndex({"": file}).matching(PLANE)
+        channels = ChannelIndex({"": file.parts}).matching(PLANE)
         if not channels:
             return None
-        pixels = read_channels(dict.fromkeys(channels, 0.0))
+        pixels = read_channels({"": file}, dict.fromkeys(channels, 0.0))
         found: np.ndarray = np.mean([pixels[channel] for channel in channels], axis=0)
     return found
 

@@ -23,7 +23,7 @@ import postfx
 from postfx.bench.methods import Chain, Method, Network, make
 from postfx.errors import BenchError, MissingFrameError, PostfxError
 from postfx.frame import Frame, FrameSpec, Role
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import write_frame
 from postfx.kernels.compile_cache import SUFFIX, cache_folder
 from postfx.runtime import Device
@@ -56,7 +56,7 @@ class Material:
 
     def __init__(self, sources: Sources) -> None:
         self.sources = sources
-        self.noisy = Sequence(sources.noisy, sources.frames, sources.profile, guides=sources.guides).first_view()
+        self.noisy = read_sequence(sources.noisy, sources.frames, sources.profile, guides=sources.guides).first_view()
         self._references = Sequence(sources.reference)
         self._lone = len(self.noisy) == 1 and len(self._references) == 1
         self.spec = _one_spec(self.noisy, self.noisy.numbers)
@@ -76,7 +76,7 @@ class Material:
 
     def result(self, pattern: str, number: int) -> Frame:
         """A method's result, from the file that it wrote."""
-        return next(iter(Sequence(pattern.replace("{number}", f"{number:04d}"), planes=[Role.COLOUR])))
+        return next(iter(read_sequence(pattern.replace("{number}", f"{number:04d}"), planes=[Role.COLOUR])))
 
     def _reference_number(self, number: int) -> int:
         """Number of a frame's reference: the frame's own, unless there is one frame and one reference."""
@@ -268,7 +268,7 @@ def measure(task: Task) -> dict[str, Any] | None:
     """
     kept = _compiled_kernels()
     device = Device(task.device, task.threads)
-    sequence = Sequence(task.noisy, task.frames, task.profile, guides=task.guides).first_view()
+    sequence = read_sequence(task.noisy, task.frames, task.profile, guides=task.guides).first_view()
     method = make(task.method, device, task.scale, task.size, sequence)
     first = _time(method, next(iter(sequence)))
     if _compiled_kernels() != kept:

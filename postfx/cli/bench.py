@@ -87,10 +87,10 @@ def execute(arguments: argparse.Namespace) -> int:
 
 def _stress(arguments: argparse.Namespace) -> int:
     from postfx.bench.stress import as_dict, as_text, stress
-    from postfx.io.sequence import Sequence
+    from postfx.io.sequence import read_sequence
     from postfx.runtime import Device
 
-    frames = list(Sequence(arguments.input, arguments.frames, arguments.profile))
+    frames = list(read_sequence(arguments.input, arguments.frames, arguments.profile))
     models = arguments.models.split(",") if arguments.models else None
     found = list(stress(frames, Device(arguments.device, arguments.threads), models))
     print(json.dumps(as_dict(found)) if arguments.json else as_text(found))

@@ -144,9 +144,9 @@ def cut_up(words: Words[str], given: argparse.Namespace, size: int, frames: str 
 
 def _open(given: argparse.Namespace, frames: str | None) -> Sequence:
     from postfx.cli.run_options import RUN
-    from postfx.io.sequence import Sequence
+    from postfx.io.sequence import read_sequence
 
-    sequence = Sequence(given.input, frames, **RUN.values_for("sequence", given))
+    sequence = read_sequence(given.input, frames, **RUN.values_for("sequence", given))
     if given.on_error == "stop":
         sequence.refuse_holes(sequence.numbers)
     return sequence

@@ -103,12 +103,12 @@ class ExposureCheck:
     """The measured exposure of a sequence, as the arguments of `postfx exposure` ask for it. Raises PostfxError."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        from postfx.io.sequence import Sequence
+        from postfx.io.sequence import read_sequence
         from postfx.runtime import Device
 
         self._arguments = arguments
-        self._sequence = Sequence(arguments.input, arguments.frames, arguments.profile,
-                                  **FILES.values_for("sequence", arguments)).first_view()
+        values = FILES.values_for("sequence", arguments)
+        self._sequence = read_sequence(arguments.input, arguments.frames, arguments.profile, **values).first_view()
         self._device = Device(arguments.device)
         self._report = self._measure()
 

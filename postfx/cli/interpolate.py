@@ -138,15 +138,15 @@ class Interpolation:
         from postfx.errors import OptionError, WriteError
         from postfx.frame import Role
         from postfx.interpolate.timing import parse_times
-        from postfx.io.sequence import Sequence
+        from postfx.io.sequence import read_sequence
         from postfx.io.writer import ExistingFiles, OutputFiles
 
         if not arguments.output:
             raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o out/between.####.exr")
         self._arguments = arguments
         self._times: Times = parse_times(arguments.times, arguments.fps)
-        self._sequence: Sequence = Sequence(arguments.input, arguments.frames,
-                                            **INTERPOLATE.values_for("sequence", arguments))
+        values = INTERPOLATE.values_for("sequence", arguments)
+        self._sequence: Sequence = read_sequence(arguments.input, arguments.frames, **values)
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
         self._outputs: OutputFiles = OutputFiles(arguments.output, self._sequence, existing)
         if self._outputs.display:
@@ -155,8 +155,8 @@ class Interpolation:
             raise OptionError(f"{self._sequence.pattern}: one frame is not enough: give two or more")
         self._moments: list[Moment] = list(self._times.moments(self._sequence.numbers))
         self._outputs.check(tuple(moment.number for moment in self._moments))
-        self._overlays = Sequence(arguments.overlays, planes=[Role.OVERLAY]) if arguments.overlays else None
-        self._reference = Sequence(arguments.reference, planes=[Role.COLOUR]) if arguments.reference else None
+        self._overlays = read_sequence(arguments.overlays, planes=[Role.OVERLAY]) if arguments.overlays else None
+        self._reference = read_sequence(arguments.reference, planes=[Role.COLOUR]) if arguments.reference else None
         self._detector = CutDetector() if arguments.cuts == "auto" else None
         self._frames: dict[int, Frame | None] = {}
         self._cuts: set[int] = set()
@@ -374,8 +374,8 @@ def with_cryptomattes(frame: Frame) -> Frame:
         return frame
     path, parts = Path(frame.source), dict(frame.parts)
     with ImageFile(path) as file:
-        for matte in cryptomattes(ChannelIndex({"": file}), frame.metadata, path):
-            pixels = read_channels(dict.fromkeys(matte.channels, 0.0))
+        for matte in cryptomattes(ChannelIndex({"": file.parts}), frame.metadata, path):
+            pixels = read_channels({"": file}, dict.fromkeys(matte.channels, 0.0))
             for k, channel in enumerate(matte.channels):
                 if pixels[channel].shape == (frame.spec.height, frame.spec.width):
                     parts[f"{matte.name}{k // 4:02d}.{'RGBA'[k % 4]}"] = pixels[channel]

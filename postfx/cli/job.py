@@ -48,7 +48,7 @@ from postfx.files import WriteBehind, read_ahead, read_patiently
 from postfx.frame import Frame, Part, Role
 from postfx.io.parts import group_parts
 from postfx.io.pattern import format_frames
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.kernels.native import CompileWatch
 from postfx.passes import Pass
@@ -85,8 +85,8 @@ class Job:
         RUN.refuse_conflicts(arguments)
         self._arguments = arguments
         device = Device(**self._values("device"))
-        self.sequence = Sequence(
-            arguments.input, arguments.frames, scratch=device.scratch, **self._values("sequence"))
+        values = self._values("sequence")
+        self.sequence = read_sequence(arguments.input, arguments.frames, scratch=device.scratch, **values)
         self._relax = device.memory.relax
         self.outputs = _outputs(arguments, self.sequence)
         refuse_layer(arguments, self.outputs)
@@ -516,11 +516,11 @@ class Job:
 
     def _find_parts(self) -> tuple[Part, ...]:
         """Parts of the picture that --aov and --aov-denoise ask for; none where the output cannot hold them."""
-        if self.sequence.parts is None:
+        if self.sequence.options.parts is None:
             return ()
         if (self.outputs is not None and self.outputs.display) or any(self._values("look").values()):
             self.skips.append(Skip("parts of the picture", "they are scene-linear, the output is not"))
-            self.sequence.parts = None
+            self.sequence.options = self.sequence.options.without_parts()
             return ()
         with self.sequence.open(self.first) as files:
             parts = tuple(found.part for found in files.parts.values())

@@ -49,7 +49,7 @@ def execute(arguments: argparse.Namespace) -> int:
     from postfx.errors import WriteError
     from postfx.exposure import ExposureMeter
     from postfx.frame import Role
-    from postfx.io.sequence import Sequence
+    from postfx.io.sequence import read_sequence
     from postfx.look_table import LookTable, expose_colour
     from postfx.passes.display import make_display_passes
     from postfx.runtime import Device
@@ -58,8 +58,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if path.suffix.lower() != ".cube":
         raise WriteError(f"{path}: is not a .cube file: name it {path.with_suffix('.cube')}")
     passes, _ = make_display_passes(True, **_LOOK.values_for("look", arguments))
-    sequence = Sequence(arguments.input, arguments.frames, arguments.profile, [Role.COLOUR],
-                        **FILES.values_for("sequence", arguments)).first_view()
+    values = FILES.values_for("sequence", arguments)
+    sequence = read_sequence(arguments.input, arguments.frames, arguments.profile, [Role.COLOUR], **values).first_view()
     numbers = sequence.numbers if arguments.frames else sequence.numbers[:: -(-len(sequence) // _MOST_FRAMES)]
     meter = ExposureMeter(arguments.exposure)
     frames = [expose_colour(frame, meter(frame)) for frame in map(sequence.read, numbers)]

@@ -93,7 +93,7 @@ class MergeJob:
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         from postfx.errors import OptionError, WriteError
-        from postfx.io.sequence import Sequence
+        from postfx.io.sequence import Sequence, read_sequence
         from postfx.io.writer import ExistingFiles, OutputFiles
 
         MERGE.refuse_conflicts(arguments)
@@ -106,7 +106,7 @@ class MergeJob:
         if self._samples and len(self._samples) != len(self.names):
             raise OptionError(f"--samples has {len(self._samples)} numbers for {len(self.names)} renders: give one "
                               "for each")
-        self._renders = [Sequence(self.names[0], arguments.frames), *map(Sequence, self.names[1:])]
+        self._renders = [read_sequence(self.names[0], arguments.frames), *map(Sequence, self.names[1:])]
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
         self.outputs: OutputFiles = OutputFiles(arguments.output, self._renders[0], existing)
         if self.outputs.display:

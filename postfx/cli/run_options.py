@@ -115,7 +115,8 @@ def explain_kept(
     parts = (found.channels for one in (files, *views) for found in one.parts.values())
     touched = {(channel.part.index, channel.name) for channels in (*(match.channels for match in planes), *parts)
                for channel in channels}
-    others = {(part.index, name) for part in colour.channels[0].file.parts for name in part.channels} - touched
+    held = files.files[colour.channels[0].word].parts
+    others = {(part.index, name) for part in held for name in part.channels} - touched
     count = f"{len(others)} other channel{'s' * (len(others) != 1)}"
     if not others:
         return "", []

@@ -91,7 +91,7 @@ class SamplesJob:
         from postfx.errors import OptionError, WriteError
         from postfx.exposure import ExposureMeter
         from postfx.frame import Role
-        from postfx.io.sequence import Sequence
+        from postfx.io.sequence import Sequence, read_sequence
         from postfx.io.writer import ExistingFiles, OutputFiles
 
         SAMPLES.refuse_conflicts(arguments)
@@ -102,8 +102,8 @@ class SamplesJob:
         if not (arguments.output or arguments.json or arguments.pictures):
             raise WriteError("nowhere to write: give -o OUTPUT, --pictures DIR or --json")
         values = SAMPLES.values_for("sequence", arguments)
-        self._sequence = Sequence(arguments.input, arguments.frames, arguments.profile, **values).first_view()
-        self._denoised = Sequence(arguments.denoised, planes=[Role.COLOUR]) if arguments.denoised else None
+        self._sequence = read_sequence(arguments.input, arguments.frames, arguments.profile, **values).first_view()
+        self._denoised = read_sequence(arguments.denoised, planes=[Role.COLOUR]) if arguments.denoised else None
         self._errors = Sequence(arguments.error) if arguments.error else None
         self._meter = ExposureMeter(arguments.exposure)
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE

@@ -76,7 +76,7 @@ class Explanation:
 
     def _find_left_alone(self) -> Coverage | None:
         """What the first frame leaves as it is, where that is asked for."""
-        asked = self.sequence.leave and Role.STRENGTH in self.plan.planes
+        asked = self.sequence.options.leave and Role.STRENGTH in self.plan.planes
         return self.sequence.coverage_of(self.first) if asked else None
 
     def _list_ahead(self) -> list[int]:

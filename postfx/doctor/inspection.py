@@ -35,7 +35,7 @@ from postfx.exposure import measure
 from postfx.files import write_atomically
 from postfx.frame import ERROR_ROLES, ROLES, Frame, Role
 from postfx.io.layout import Match
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import read_sequence
 from postfx.report.pictures import png, png_uri, shrink
 
 Check = Callable[[Material], Iterator[Finding]]
@@ -148,8 +148,8 @@ class Inspection:
         self, source: str, frames: str | Iterable[int] | None, profile: str | None, guides: str | None = None,
         depth: str | None = None, colourspace: str | None = None, layer: str | None = None, view: str | None = None,
     ) -> None:
-        self.sequence = Sequence(source, frames, profile, guides=guides, depth=depth, colourspace=colourspace,
-                                 layer=layer, view=view).first_view()
+        self.sequence = read_sequence(source, frames, profile, guides=guides, depth=depth, colourspace=colourspace,
+                                      layer=layer, view=view).first_view()
         self._reading: Reading = read_material(self.sequence)
         self.findings: list[Finding] = examine(self._reading.material)
         self.exit_code = exit_code(self.findings)

@@ -167,7 +167,8 @@ def read_material(sequence: Sequence) -> Reading:
 def _read_pairs(files: FrameFiles) -> dict[str, np.ndarray]:
     """Stored values (height, width, 2) of layers that may be motion."""
     found = files.unread_motion()
-    pixels = read_channels({channel: 0.0 for channels in found.values() for channel in channels})
+    wanted = {channel: 0.0 for channels in found.values() for channel in channels}
+    pixels = read_channels(files.files, wanted)
     return {layer: np.stack([pixels[channel] for channel in channels], axis=-1) for layer, channels in found.items()}
 
 

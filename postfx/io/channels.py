@@ -51,14 +51,16 @@ def _plane_words() -> frozenset[str]:
     return frozenset({*COLOUR_FILES, *(name.lower() for name in named if name)})
 
 
+Parts = tuple[Part, ...]
+"""All parts of one file."""
 Names = tuple[tuple[str, str], ...]
 """Full names of channels, each in lower case and as it is written."""
 
 
 class Channel(NamedTuple):
-    """One channel of one part of one of a frame's files."""
+    """One channel of one part of one of a frame's files, which is told by its word."""
 
-    file: ImageFile
+    word: str
     part: Part
     name: str
 
@@ -95,21 +97,21 @@ _PICTURE, _COLOUR, _UNKNOWN, _NAMED = range(4)
 class ChannelIndex:
     """Channels of a frame's files by full name.
 
-    `files` maps a plane's word ('' where one file holds all planes) to its file. A channel R without more is that of
-    the picture that postfx wrote, else of a part named after the colour, else of the first part that is not named after
-    something else. `view` is one of `views`, or None for the first. `layer` is a layer whose channels also go by their
-    names without it, and come first.
+    `files` maps a plane's word ('' where one file holds all planes) to its file's parts. A channel R without more is
+    that of the picture that postfx wrote, else of a part named after the colour, else of the first part that is not
+    named after something else. `view` is one of `views`, or None for the first. `layer` is a layer whose channels also
+    go by their names without it, and come first.
 
     Attributes:
         views: of the first file, the one that is looked at first; empty where the file is not of several.
     """
 
-    def __init__(self, files: Mapping[str, ImageFile], view: str | None = None, layer: str = "") -> None:
+    def __init__(self, files: Mapping[str, Parts], view: str | None = None, layer: str = "") -> None:
         self._files = files
-        self.views = _views(next(iter(files.values())).parts)
+        self.views = _views(next(iter(files.values())))
         view = view or (self.views[0] if self.views else "")
         self.views = tuple(sorted(self.views, key=lambda own: own != view))
-        found = [source for word, file in files.items() for source in _sources(word, file, view)]
+        found = [source for word, parts in files.items() for source in _sources(word, parts, view)]
         self._sources = sorted(found, key=lambda source: source.rank)
         if layer:
             self._prefer(layer)
@@ -191,13 +193,13 @@ class ChannelIndex:
         """What the files hold, layer by layer, except some channels: 'albedo.R,G,B'."""
         left_out = {(id(channel.part), channel.name) for channel in without}
         layers: dict[str, list[str]] = {}
-        for file in self._files.values():
-            for part in file.parts:
+        for parts in self._files.values():
+            for part in parts:
                 for name in part.channels:
                     if (id(part), name) in left_out:
                         continue
                     layer, _, letter = name.rpartition(".")
-                    layers.setdefault(layer or (part.name if len(file.parts) > 1 else ""), []).append(letter)
+                    layers.setdefault(layer or (part.name if len(parts) > 1 else ""), []).append(letter)
         return [make_printable(f"{layer}{'.' * bool(layer)}{','.join(letters)}") for layer, letters in layers.items()]
 
     @cached_property
@@ -226,7 +228,8 @@ def before(names: Names, ending: str) -> list[str]:
 
 def are_together(channels: Iterable[Channel]) -> bool:
     """Whether channels are of one part of one file."""
-    return len({(channel.file, channel.part.index) for channel in channels}) == 1
+    first, *others = channels
+    return all(channel.part is first.part for channel in others)
 
 
 def has_siblings(channel: Channel, letters: Iterable[str]) -> bool:
@@ -237,30 +240,31 @@ def has_siblings(channel: Channel, letters: Iterable[str]) -> bool:
 
 
 def read_channels(
-    fills: Mapping[Channel, float], rows: tuple[int, int] | None = None
+    files: Mapping[str, ImageFile], fills: Mapping[Channel, float], rows: tuple[int, int] | None = None
 ) -> dict[Channel, np.ndarray]:
-    """Every channel, or some of its rows, with one read of each part that holds any. `fills` gives the value for pixels
-    without data."""
-    wanted: dict[tuple[ImageFile, int], list[Channel]] = {}
+    """Every channel, or some of its rows, with one read of each part that holds any. `fills` gives the
+    value for pixels without data; `files` are the open ones of a frame, by their words."""
+    wanted: dict[Part, list[Channel]] = {}
     for channel in fills:
-        wanted.setdefault((channel.file, channel.part.index), []).append(channel)
+        wanted.setdefault(channel.part, []).append(channel)
     pixels: dict[Channel, np.ndarray] = {}
-    for (file, _), channels in wanted.items():
-        read = file.read(channels[0].part, {channel.name: fills[channel] for channel in channels}, rows)
+    for part, channels in wanted.items():
+        values = {channel.name: fills[channel] for channel in channels}
+        read = files[channels[0].word].read(part, values, rows)
         pixels.update({channel: read[channel.name] for channel in channels})
     return pixels
 
 
-def _sources(word: str, file: ImageFile, view: str) -> Iterator[_Source]:
+def _sources(word: str, parts: Parts, view: str) -> Iterator[_Source]:
     """The parts of a file that hold channels of a view."""
-    views = _views(file.parts)
+    views = _views(parts)
     holds_colour = word == "" or word.lower() in COLOUR_FILES
-    ranks = _ranks([_name_and_view(part, views)[0] for part in file.parts], file.parts) if holds_colour else {}
-    is_lone = len(file.parts) == 1
-    for index, part in enumerate(file.parts):
+    ranks = _ranks([_name_and_view(part, views)[0] for part in parts], parts) if holds_colour else {}
+    is_lone = len(parts) == 1
+    for index, part in enumerate(parts):
         name, own = _name_and_view(part, views)
         source = _Source(ranks.get(index, _NAMED))
-        shorts = [(*_without_view(channel, views, own, is_lone), Channel(file, part, channel))
+        shorts = [(*_without_view(channel, views, own, is_lone), Channel(word, part, channel))
                   for channel in part.channels]
         named = {short: found for short, seen, found in shorts if seen == "" or len(views) < 2}
         named |= {short: found for short, seen, found in shorts if seen == view}
@@ -276,7 +280,7 @@ def _full_names(short: str, part: str, word: str, is_plain: bool) -> list[str]:
     return own + [f"{head}.{short}" for head in (part, word) if head and not short.startswith(f"{head}.")]
 
 
-def _ranks(names: list[str], parts: tuple[Part, ...]) -> dict[int, int]:
+def _ranks(names: list[str], parts: Parts) -> dict[int, int]:
     """Ranks of the parts whose channels go by their bare names as well; of all, where none is likely to."""
     ranks = {index: _PICTURE for index, part in enumerate(parts) if part.is_picture}
     for index, name in enumerate(names):
@@ -294,11 +298,10 @@ def _with_letter(name: str) -> str:
     return layer + dot + _LETTERS.get(letter.lower(), letter)
 
 
-def _views(parts: tuple[Part, ...]) -> tuple[str, ...]:
+def _views(parts: Parts) -> tuple[str, ...]:
     """Views that a file's parts tell, the first one first; of one view or none where it is not of several."""
-    listed = parts[0].attributes.get("multiView")
-    if isinstance(listed, tuple):
-        return tuple(map(str, listed))
+    if parts[0].views is not None:
+        return parts[0].views
     told = [part.view for part in parts if part.view]
     ends = [re.split(r"[._]", part.name)[-1] for part in parts]
     shared = len(parts) > 1 and len(set(ends)) == 1 and all("." in part.name for part in parts)

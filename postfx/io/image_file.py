@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -20,7 +21,7 @@ import OpenImageIO as oiio
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
 from postfx.io.exr.container import MAX_SIDE, ExrContainer, NamedPlanes, PlainReader
-from postfx.io.windows import Part, Window, assign_windows, part_of, some_rows, to_area
+from postfx.io.windows import Part, Window, assign_windows, attributes_of, part_of, some_rows, to_area
 
 READABLE = (".exr", ".hdr")
 """Endings of files that are looked for in folders."""
@@ -65,6 +66,10 @@ def _check_hdr(path: Path, start: bytes, size: int) -> RadianceHeader:
 class ImageFile:
     """An open file: `parts` says what is in it, `read` fetches channels. Use as a context manager.
 
+    Attributes:
+        parts: those that are read, all but deep ones.
+        headers: index of each of these -> its header attributes.
+
     `checked` says that the caller has an `ExrContainer` of it, so what its header claims is not checked again. Raises
     MissingFrameError when there is no such file, ReadError when it is broken, deep or of an unknown format.
     """
@@ -94,9 +99,11 @@ class ImageFile:
         self._input = opened
         if self._is_still:
             _check_still(self.path, opened.spec())
+        self.headers: dict[int, dict[str, Any]] = {}
         self.parts = self._scan()
         if self._radiance:
             self.parts = (_radiance_part(self.parts[0], self._radiance),)
+            self.headers = {0: _radiance_attributes(self.headers[0], self._radiance)}
 
     def __enter__(self) -> ImageFile:
         return self
@@ -137,10 +144,6 @@ class ImageFile:
         part = part if rows is None else some_rows(part, *rows)
         pixels = self._read_rows(part, index, index + 1, oiio.UINT)
         return to_area(self._require_pixels(pixels)[:, :, 0], part, 0)
-
-    def widen(self, display: Window, area: Window) -> None:
-        """Read the parts with this display window in a larger area from now on."""
-        self.parts = tuple(replace(part, area=area) if part.display == display else part for part in self.parts)
 
     def read_stored(self, part: Part, names: Sequence[str], first: int, last: int) -> list[np.ndarray]:
         """Channels as they are stored, bit for bit: uint32, float16 or float32 (rows, width) of the data window's rows
@@ -217,13 +220,16 @@ class ImageFile:
 
     def _scan(self) -> tuple[Part, ...]:
         parts: list[Part] = []
-        deep: list[Part] = []
-        while self._input.seek_subimage(len(parts) + len(deep), 0):
+        index = 0
+        while self._input.seek_subimage(index, 0):
             spec = self._input.spec()
-            (deep if spec.deep else parts).append(part_of(len(parts) + len(deep), spec))
+            if not spec.deep:
+                self.headers[index] = attributes_of(spec)
+                parts.append(part_of(index, spec, self.headers[index]))
+            index += 1
         if not parts:
             reason = "deep data is not supported: flatten it first, e.g. with oiiotool --flatten"
-            raise ReadError(f"{self.path}: {reason if deep else 'holds no image'}")
+            raise ReadError(f"{self.path}: {reason if index else 'holds no image'}")
         return assign_windows(parts)
 
 
@@ -239,11 +245,15 @@ def _check_still(path: Path, spec: oiio.ImageSpec) -> None:
 
 
 def _radiance_part(part: Part, header: RadianceHeader) -> Part:
-    """The part of a Radiance file with the picture's size, and the header's facts on its colours."""
+    """The part of a Radiance file with the picture's size."""
     window = Window(0, 0, header.size[0] - 1, header.size[1] - 1)
-    attributes = {name: value for name, value in part.attributes.items() if name not in _STORAGE}
-    attributes |= {"chromaticities": header.primaries} if header.primaries else {}
-    return replace(part, data=window, display=window, area=window, attributes=attributes)
+    return replace(part, data=window, display=window, area=window)
+
+
+def _radiance_attributes(attributes: Mapping[str, Any], header: RadianceHeader) -> dict[str, Any]:
+    """What is still true of pixels as they are read here, and the header's facts on their colours."""
+    found = {name: value for name, value in attributes.items() if name not in _STORAGE}
+    return found | ({"chromaticities": header.primaries} if header.primaries else {})
 
 
 def _runs(part: Part, names: Sequence[str]) -> Iterator[tuple[int, int]]:

@@ -10,12 +10,11 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from postfx.errors import GuideError, MissingPlaneError
-from postfx.frame import OUTPUT_SIZE_ROLES, GuideSpec, Role, pixel_aspect
+from postfx.frame import OUTPUT_SIZE_ROLES, GuideSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, Names, are_together, before, has_siblings
 from postfx.io.convert import Camera, DepthOption, missing_error, missing_number
+from postfx.io.facts import Facts
 from postfx.io.profile import DetectRule, PlaneRule, Profile, load_profile, profile_names
 from postfx.io.windows import PICTURE
 
@@ -66,6 +65,8 @@ class Layout:
     planes: dict[Role, Match]
     camera: Camera
     attributes: Mapping[str, Any]
+    paths: Mapping[str, Path]
+    """Of the files, by their words."""
     warnings: list[str] = field(default_factory=list)
     unused: dict[Role, str] = field(default_factory=dict)
     """Why a plane that is there is not used, as long as no other one of its role is."""
@@ -74,53 +75,20 @@ class Layout:
     chosen_layer: str | None = None
     """The view layer that was chosen among several; None if there are not several."""
 
+    @property
+    def facts(self) -> Facts:
+        """Its header attributes by the names of its profile."""
+        return Facts(self.profile, self.layer, self.attributes)
+
     def hints(self) -> dict[Role, str]:
         """Role -> where the user switches the plane on in the renderer, of those of which that is known."""
         rules = ((role, [rule.enable for rule in self.profile.rules(role) if rule.enable]) for role in Role)
         return {role: hints[0] for role, hints in rules if hints}
 
 
-class Header:
-    """Header attributes by the names that a profile gives them."""
-
-    def __init__(self, layout: Layout) -> None:
-        self._layout = layout
-
-    def value(self, key: str) -> Any:
-        names = [name.replace("{layer}", self._layout.layer) for name in self._layout.profile.header.get(key, ())]
-        return next((self._layout.attributes[name] for name in names if name in self._layout.attributes), None)
-
-    def numbers(self, key: str, count: int) -> np.ndarray | None:
-        """Attribute of `count` numbers as float64; None when it is absent or something else."""
-        try:
-            numbers = np.asarray(self.value(key), np.float64).ravel()
-        except (TypeError, ValueError):
-            return None
-        return numbers if numbers.size == count and np.isfinite(numbers).all() else None
-
-    def number(self, key: str) -> float | None:
-        numbers = self.numbers(key, 1)
-        return None if numbers is None else float(numbers[0])
-
-    def camera(self) -> Camera:
-        matrix, jitter = self.numbers("world_to_camera", 16), self.numbers("jitter", 2)
-        if matrix is not None:
-            matrix = matrix.reshape(4, 4)
-            matrix = matrix.T if self._layout.profile.column_vectors else matrix
-        return Camera(
-            world_to_camera=matrix,
-            fov_x=self.number("fov_x") or self._layout.profile.fov_x,
-            jitter=(0.0, 0.0) if jitter is None else (float(jitter[0]), float(jitter[1])),
-            near=_first(self.number("near"), self._layout.profile.near),
-            far=_first(self.number("far"), self._layout.profile.far),
-            max_velocity=_first(self.number("max_velocity"), self._layout.profile.max_velocity),
-            shutter=_first(self.number("shutter"), self._layout.profile.shutter),
-            pixel_aspect=pixel_aspect(self._layout.attributes),
-        )
-
-
 def make_layout(
     index: ChannelIndex,
+    paths: Mapping[str, Path],
     attributes: Mapping[str, Any],
     profile: Profile | None = None,
     depth: DepthOption | None = None,
@@ -128,7 +96,7 @@ def make_layout(
     layer: str | None = None,
 ) -> Layout:
     """Where the planes are, by a profile or else by the first that fits; `depth` replaces what the profile says of
-    depth.
+    depth. `paths` are those of the files, by their words.
 
     Planes of the roles `without` are taken as absent. Of several view layers it is `layer`, or the one with the most
     planes.
@@ -140,7 +108,7 @@ def make_layout(
         profile = replace(profile, planes=_picture_rules(str(attributes[PICTURE])) + profile.planes)
     layers = _distinct(index, _layers(index.names, profile), profile.marker)
     named = [name for name in layers if layer is not None and name.rstrip(".").lower() == layer.lower()]
-    found = [_match_all(index, Layout(profile, name, {}, Camera(), attributes), depth, without)
+    found = [_match_all(index, Layout(profile, name, {}, Camera(), attributes, paths), depth, without)
              for name in named or layers]
     layout = max(found, key=_preference)
     if len(found) > 1:
@@ -190,7 +158,7 @@ def _preference(layout: Layout) -> tuple[bool, int, bool]:
 
 
 def _match_all(index: ChannelIndex, layout: Layout, depth: DepthOption | None, without: Collection[Role]) -> Layout:
-    camera = Header(layout).camera()
+    camera = layout.facts.camera()
     layout.camera = depth.camera(camera) if depth else camera
     for rule in layout.profile.planes:
         if rule.role not in layout.planes and rule.role not in without:
@@ -242,7 +210,7 @@ def _match_rule(index: ChannelIndex, layout: Layout, rule: PlaneRule, given: boo
             "or fov_x under [camera] in a profile"
         )
     elif number:
-        raise missing_error(channels[0].file.path, match.names, rule, number)
+        raise missing_error(layout.paths[channels[0].word], match.names, rule, number)
     layout.planes[rule.role] = match
 
 
@@ -279,12 +247,12 @@ def _layer_of(names: Sequence[str]) -> str:
 
 def _detect(index: ChannelIndex, attributes: Mapping[str, Any]) -> Profile:
     """The first built-in profile that fits. Frames with the same names and the same facts have the same profile."""
-    return _first_that_fits(index.names, tuple((name, str(attributes.get(name, ""))) for name in _telling_facts()))
+    return _first_that_fits(index.names, tuple((name, str(attributes.get(name, ""))) for name in telling_names()))
 
 
 @cache
-def _telling_facts() -> tuple[str, ...]:
-    """Header attributes by which profiles are told apart."""
+def telling_names() -> tuple[str, ...]:
+    """Names of the header attributes by which profiles are told apart."""
     rules = (rule for name in profile_names() for rule in load_profile(name).detect)
     return tuple({name: None for rule in rules for name, _ in rule.header})
 
@@ -329,10 +297,6 @@ def _distinct(index: ChannelIndex, layers: list[str], marker: str) -> list[str]:
     return list(found.values())
 
 
-def _first(*values: float | None) -> float | None:
-    return next((value for value in values if value is not None), None)
-
-
 @dataclass
 class GuideLayout:
     """Where the guides of a frame are, and what the header of their file says about the camera."""
@@ -340,11 +304,6 @@ class GuideLayout:
     path: Path
     planes: dict[Role, Match]
     camera: Camera
-
-    def __post_init__(self) -> None:
-        if len({match.size for match in self.planes.values()}) > 1:
-            sizes = ", ".join(f"{role} {match.size[0]}x{match.size[1]}" for role, match in self.planes.items())
-            raise GuideError(f"{self.path}: guides differ in size: {sizes}: render them at one size, the output's")
 
     @property
     def size(self) -> tuple[int, int]:
@@ -356,22 +315,20 @@ class GuideLayout:
         return GuideSpec(*self.size, tuple(self.planes), str(self.path))
 
 
-def larger_planes(layout: Layout) -> GuideLayout | None:
-    """Planes larger than the colour, taken out of the layout; None when there are none.
+def take_larger_planes(layout: Layout) -> dict[Role, Match]:
+    """Planes larger than the colour, taken out of the layout: guides, as the same files hold the colour at render size.
 
-    They are guides when the same file set holds the colour at render size.
+    Raises GuideError where they differ in size.
     """
     if Role.COLOUR not in layout.planes:
-        return None
+        return {}
     size = layout.planes[Role.COLOUR].size
     found = {role: layout.planes[role] for role in OUTPUT_SIZE_ROLES if _is_larger(layout.planes.get(role), size)}
-    if not found:
-        return None
     for role in found:
         del layout.planes[role]
-    first = next(iter(found.values())).channels[0]
-    jitter = Header(replace(layout, attributes=first.part.attributes)).camera().jitter
-    return GuideLayout(first.file.path, found, replace(layout.camera, jitter=jitter))
+    if found:
+        _check_one_size(layout.paths[next(iter(found.values())).channels[0].word], found)
+    return found
 
 
 def drop_smaller_planes(layout: Layout) -> None:
@@ -387,15 +344,23 @@ def drop_smaller_planes(layout: Layout) -> None:
         layout.warnings.append(f"planes {', '.join(smaller)} are of the render before it was enlarged: not read")
 
 
-def planes_that_guide(layout: Layout, path: Path) -> GuideLayout:
-    """Guides out of files of their own. Raises MissingPlaneError when they hold none."""
+def planes_that_guide(layout: Layout, path: Path) -> dict[Role, Match]:
+    """Guides out of files of their own. Raises MissingPlaneError when they hold none, GuideError where they differ in
+    size."""
     found = {role: layout.planes[role] for role in OUTPUT_SIZE_ROLES if role in layout.planes}
     if not found:
         raise MissingPlaneError(
             f"{path}: holds none of the planes that guide ({', '.join(OUTPUT_SIZE_ROLES)}) by profile "
             f"{layout.profile.name}: render one of them, or name it in a profile (--profile FILE.toml)"
         )
-    return GuideLayout(path, found, layout.camera)
+    _check_one_size(path, found)
+    return found
+
+
+def _check_one_size(path: Path, planes: Mapping[Role, Match]) -> None:
+    if len({match.size for match in planes.values()}) > 1:
+        sizes = ", ".join(f"{role} {match.size[0]}x{match.size[1]}" for role, match in planes.items())
+        raise GuideError(f"{path}: guides differ in size: {sizes}: render them at one size, the output's")
 
 
 def _is_larger(match: Match | None, size: tuple[int, int]) -> bool:

@@ -13,7 +13,8 @@ from postfx.errors import StrengthError
 from postfx.files import parse_json, read_text
 from postfx.frame import Role
 from postfx.io.channels import Channel, ChannelIndex, read_channels
-from postfx.io.layout import Header, Layout
+from postfx.io.image_file import ImageFile
+from postfx.io.layout import Layout
 from postfx.masks.cryptomatte import (
     AUTO,
     Coverage,
@@ -123,9 +124,11 @@ class LeftAlone:
     """
 
     def __init__(
-        self, entries: Iterable[Entry], index: ChannelIndex, layout: Layout, path: Path, strict: bool = True
+        self, entries: Iterable[Entry], index: ChannelIndex, layout: Layout, files: Mapping[str, ImageFile],
+        strict: bool = True
     ) -> None:
-        self._entries, self._index, self._path = tuple(entries), index, path
+        self._entries, self._index, self._files = tuple(entries), index, files
+        self._path = path = next(iter(files.values())).path
         self._cryptomattes = cryptomattes(index, layout.attributes, path) if self._is_looked_up() else []
         self._size = layout.planes[Role.COLOUR].size if Role.COLOUR in layout.planes else None
         self._named: dict[CryptomattePlanes, dict[int, Entry]] = {}
@@ -133,7 +136,7 @@ class LeftAlone:
         for entry in self._entries:
             if not (entry.is_auto or entry.is_converged):
                 self._find(entry, strict)
-        self._samples = int(Header(layout).number("samples") or 0) or None
+        self._samples = int(layout.facts.number("samples") or 0) or None
         self._basis = {entry: self._basis_of(entry, layout) for entry in self._entries if entry.is_converged}
         looked = {Role.COLOUR, Role.STRENGTH, *(MISS_READS if self._auto() else ()),
                   *(ERROR_READS if self._basis else ())}
@@ -234,7 +237,8 @@ class LeftAlone:
             self._count(entry, share)
         strength = snap(strength)
         for channel, entries in self._numbered.items():
-            ids, own = channel.file.read_ids(channel.part, channel.name, rows), np.ones_like(strength)
+            ids = self._files[channel.word].read_ids(channel.part, channel.name, rows)
+            own = np.ones_like(strength)
             for entry in entries:
                 inside = is_in_range(ids, id_range(entry))
                 own[inside] = entry.strength
@@ -244,7 +248,8 @@ class LeftAlone:
 
     def _share_out(self, layer: CryptomattePlanes, rows: tuple[int, int]) -> dict[Entry, np.ndarray]:
         """Shares of some rows, by the entry that counts for an id: the last one."""
-        pixels, ids = read_channels(dict.fromkeys(layer.channels, 0.0), rows), self._named[layer]
+        pixels = read_channels(self._files, dict.fromkeys(layer.channels, 0.0), rows)
+        ids = self._named[layer]
         ranks = [pixels[channel] for channel in layer.channels]
         return {entry: share_of(ranks, {key: 1.0 for key, owner in ids.items() if owner == entry})
                 for entry in dict.fromkeys(ids.values())}

@@ -11,6 +11,7 @@ import numpy as np
 from postfx.errors import MissingPlaneError, OptionError
 from postfx.frame import ADDITIVE, PART_KINDS, Part, PartSource
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
+from postfx.io.image_file import ImageFile
 from postfx.io.layout import Layout
 
 AUTO, NAMED = "auto", "named"
@@ -210,8 +211,9 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     return grouped, notes
 
 
-def read_parts(found: Mapping[str, FoundPart]) -> dict[str, np.ndarray]:
+def read_parts(files: Mapping[str, ImageFile], found: Mapping[str, FoundPart]) -> dict[str, np.ndarray]:
     """Parts (height, width, 1 or 3) at render size, in radiance: those stored divided are multiplied again."""
-    pixels = read_channels({channel: 0.0 for part in found.values() for channel in part.channels})
+    wanted = {channel: 0.0 for part in found.values() for channel in part.channels}
+    pixels = read_channels(files, wanted)
     stored = {name: np.stack([pixels[channel] for channel in part.channels], axis=-1) for name, part in found.items()}
     return {name: stored[name] * stored[part.factor] if part.factor else stored[name] for name, part in found.items()}

@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import update_wrapper
+from inspect import Signature, signature
 from itertools import takewhile
 from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
 from postfx.files import make_printable
 from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import parse_colourspace
-from postfx.io.convert import SEEN, parse_depth
-from postfx.io.frame_reader import Area, FrameFiles
-from postfx.io.parts import parse_parts
+from postfx.io.convert import SEEN
+from postfx.io.frame_reader import READ_ALL, FrameFiles
 from postfx.io.pattern import VIEW, Pattern, Source, format_frames, locate, parse_frames
+from postfx.io.read_options import AUTO_MOTION, ReadOptions, parse_views
+from postfx.io.read_plan import Area, Plans, Settled
 from postfx.io.windows import scale_windows
-from postfx.masks.cryptomatte import Coverage, parse_leave
-from postfx.repair import Fireflies, clamp_fireflies, parse_limit
-from postfx.system import Scratch
+from postfx.masks.cryptomatte import Coverage
+from postfx.repair import Fireflies, clamp_fireflies
 
 if TYPE_CHECKING:
     from postfx.io.estimated_motion import Picture
 
-MOTIONS = AUTO, FILE, ESTIMATE = "auto", "file", "estimate"
-"""Where motion comes from: estimated where files have none, or only zeros; from files alone; always estimated."""
-
+Given = ParamSpec("Given")
 Frames = dict[int, dict[str, Path]]
 """Frame number -> plane word -> file."""
 
@@ -35,57 +36,40 @@ Frames = dict[int, dict[str, Path]]
 class Sequence:
     """Frames of a pattern, a folder or a single file; iterating reads them one by one.
 
-    Planes are in arrays of `scratch`, if it is given, and are read piece by piece. A frame read after another than its
-    predecessor on the disk is marked as a cut (`Frame.reset`), because its motion vectors lead to a frame that was left
-    out; while iterating, what else is read meanwhile does not count.
+    A frame read after another than its predecessor on the disk is marked as a cut (`Frame.reset`),
+    because its motion vectors lead to a frame that was left out; while iterating, what else is read
+    meanwhile does not count.
 
     Attributes:
         pattern: how the files are named.
-        guides: sequence of the files of the planes at output size, None where they are in the same files or absent.
-        numbers: frame numbers, in order of processing. Holes in what is on the disk are kept as numbers: reading such
-            a frame raises MissingFrameError.
-        colours: in which primaries the files hold colours, and whether they are converted to Rec.709; may be replaced.
+        guides: sequence of the files of the planes at output size, None where they are in the same
+            files or absent.
+        numbers: frame numbers, in order of processing. Holes in what is on the disk are kept as
+            numbers: reading such a frame raises MissingFrameError.
+        colours: in which primaries the files hold colours, and whether they are converted to
+            Rec.709; may be replaced.
         warnings: oddities of the files read so far, each once.
-        leave: what is left as it is.
-        motion: where motion comes from, see `MOTIONS`.
-        left_alone: how much of the frames read so far that is.
-        parts: which layers are read as parts of the picture; may be replaced.
-        view: of stereo files, the view that frames are of; None for the first, until a frame was opened. Where views
-            have files of their own ({view} in `pattern`), all are read if none is asked for.
+        coverage: how much of the frames read so far was left as it is.
+        options: how it is read; may be replaced.
+        view: of stereo files, the view that frames are of; None for the first, until a frame was
+            opened. Where views have files of their own ({view} in `pattern`), all are read if none
+            is asked for.
         fireflies: what `clamp_fireflies` took of the frames that were read.
-        views: other views that are read with each frame, into `Frame.views`; those of 'all' are known as soon as a
-            frame was opened.
+        views: other views that are read with each frame, into `Frame.views`; those of 'all' are
+            known as soon as a frame was opened.
     """
 
-    def __init__(
-        self,
-        source: Source,
-        frames: str | Iterable[int] | None = None,
-        profile: str | None = None,
-        planes: Iterable[Role] | None = None,
-        guides: Source | None = None,
-        scratch: Scratch | None = None,
-        depth: str | None = None,
-        cuts: Iterable[int] | None = None,
-        leave: str | None = None,
-        colourspace: str | None = None,
-        without: Iterable[Role] = (),
-        layer: str | None = None,
-        view: str | None = None,
-        aov: str | None = None,
-        aov_denoise: str | None = None,
-        clamp_fireflies: float | None = None,
-        motion: str = FILE,
-    ) -> None:
-        self._scratch = scratch
-        if motion not in MOTIONS:
-            raise SequenceError(f"motion '{motion}': give {', '.join(MOTIONS[:-1])} or {MOTIONS[-1]}")
-        self.motion = motion
-        self._pictures: dict[str | None, tuple[int, Picture | None]] = {}  # of each view's frame that was read last
-        self._most, self.fireflies = parse_limit(clamp_fireflies), Fireflies()
-        self.parts = parse_parts(aov, aov_denoise)
-        self._layer = layer
-        self.view, self.views, self._all_views = parse_views(view)
+    def __init__(self, source: Source, options: ReadOptions = READ_ALL) -> None:
+        self.options = options
+        self.fireflies = Fireflies()
+        # Of each view's frame that was read last.
+        self._pictures: dict[str | None, tuple[int, Picture | None]] = {}
+        self._plans = Plans()
+        options.check()
+        self._layer = options.layer
+        self.view, self.views, self._all_views = parse_views(options.view)
+
+        # Which files there are.
         self.pattern, named = locate(source)
         self._found = _files_of(self.pattern)
         if not self._found:
@@ -93,28 +77,30 @@ class Sequence:
         if self.pattern.has_views:
             self._choose_views()
         self._known_views = (self.view, *self.views)
-        self.profile = profile
-        self.depth = None if depth is None else parse_depth(depth)
-        self.cuts = None if cuts is None else frozenset(cuts)
-        self.leave = () if leave is None else parse_leave(leave)
         self._named = False
-        self._areas: dict[str | None, Area | None] = {}  # of each view's first frame that was opened
+        self._areas: dict[str | None, Area | None] = {}
         self.coverage = Coverage()
-        self.colours = parse_colourspace(colourspace)
-        self.without = frozenset(map(Role, without)) | ({Role.MOTION} if motion == ESTIMATE else set())
-        own = ",".join(filter(None, self._known_views)) if self.pattern.has_views else None
-        self.guides = None if guides is None else Sequence(guides, profile=profile, depth=depth, view=own)
-        self.planes = None if planes is None else tuple(Role(role) for role in planes)
+        self.colours = parse_colourspace(options.colourspace)
+        self.guides = self._find_guides()
         self.warnings: list[str] = []
         self._warn_of_overlooked()
+
+        # Which frames are wanted.
         self._step = _step(self.present())
         self._last: int | None = None
-        wanted = frames if frames is not None else named or self._on_disk()
-        self.numbers = tuple(parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted))
+        wanted = options.frames if options.frames is not None else named or self._on_disk()
+        self.numbers = tuple(
+            parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted)
+        )
+        guides = options.guides
         if self.guides and not self.guides.pattern.is_numbered and len(self.numbers) > 1:
-            raise SequenceError(f"{guides}: one file of guides for {len(self)} frames: name them like guides.####.exr")
+            raise SequenceError(
+                f"{guides}: one file of guides for {len(self)} frames: name them like guides.####.exr"
+            )
         if self.guides and self.guides.pattern.has_views != self.pattern.has_views:
-            raise SequenceError(f"{guides}: guides have files for each view where frames do: put {VIEW} into both")
+            raise SequenceError(
+                f"{guides}: guides have files for each view where frames do: put {VIEW} into both"
+            )
 
     def __repr__(self) -> str:
         """The files, and which frames of them."""
@@ -146,12 +132,13 @@ class Sequence:
     def pictures(self) -> Sequence:
         """The same frames without guides and without `leave`."""
         found = copy.copy(self)
-        found.guides, found.leave, found.fireflies = None, (), Fireflies()
+        found.guides, found.fireflies = None, Fireflies()
+        found.options = replace(self.options, guides=None, leave=None)
         return found
 
     def look_again(self, step: int) -> None:
-        """Take notice of files that were written since the sequence was made; step: from one frame to the next, which
-        files that are not there yet do not tell."""
+        """Take notice of files that were written since the sequence was made; step: from one frame
+        to the next, which files that are not there yet do not tell."""
         self._found, self._step = _files_of(self.pattern), step
         self._pictures.clear()
         if self.guides:
@@ -162,13 +149,15 @@ class Sequence:
         self._last = None
 
     def before(self, number: int, count: int) -> list[int]:
-        """Up to `count` frames that lead to a frame without a hole between them, on the disk and in order."""
+        """Up to `count` frames that lead to a frame without a hole between them, on the disk and in
+        order."""
         earlier = [number - self._step * distance for distance in range(count, 0, -1)]
         return list(takewhile(self.holds, reversed(earlier)))[::-1]
 
     def read_for_motion(self, number: int) -> list[int]:
-        """The frame before one that does not begin a shot, where motion may be estimated from it; empty for none."""
-        if self.motion == FILE:
+        """The frame before one that does not begin a shot, where motion may be estimated from it;
+        empty for none."""
+        if not self.options.estimates_motion:
             return []
         before = self.before(number, 1)
         if not before or self.begins_shot(number):
@@ -177,16 +166,23 @@ class Sequence:
             return before if files.lacks_motion else []
 
     def after(self, number: int, count: int) -> list[int]:
-        """Up to `count` frames that follow a frame without a hole between them, on the disk and in order."""
-        return list(takewhile(self.holds, (number + self._step * distance for distance in range(1, count + 1))))
+        """Up to `count` frames that follow a frame without a hole between them, on the disk and in
+        order."""
+        return list(
+            takewhile(
+                self.holds, (number + self._step * distance for distance in range(1, count + 1))
+            )
+        )
 
     def holds(self, number: int) -> bool:
         """Whether a frame, wanted or not, is on the disk, and its guides are."""
-        return all(number in frames for frames in self._read_files()) and \
-            (self.guides is None or not self.guides.pattern.is_numbered or self.guides.holds(number))
+        return all(number in frames for frames in self._read_files()) and (
+            self.guides is None or not self.guides.pattern.is_numbered or self.guides.holds(number)
+        )
 
     def present(self) -> list[int]:
-        """Numbers of the frames on the disk, wanted or not, also of those that not all views have."""
+        """Numbers of the frames on the disk, wanted or not, also of those that not all views
+        have."""
         return sorted(set().union(*self._read_files()))
 
     def missing(self) -> list[int]:
@@ -199,35 +195,54 @@ class Sequence:
         missing = sorted({number for number in numbers if not self.holds(number)})
         there = self.present()
         if there and not {*self.numbers} & {*there}:
-            raise MissingFrameError(f"{self.pattern}: there are frames {format_frames(there)}, none of "
-                                    f"{format_frames(self.numbers)}: give --frames that are there")
+            raise MissingFrameError(
+                f"{self.pattern}: there are frames {format_frames(there)}, none of "
+                f"{format_frames(self.numbers)}: give --frames that are there"
+            )
         if len(missing) == 1:
             self.inputs(missing[0])
         elif missing:
-            own = self.pattern if any(number not in frames for number in missing for frames in self._read_files()) \
+            own = (
+                self.pattern
+                if any(number not in frames for number in missing for frames in self._read_files())
                 else None
+            )
             pattern = own or f"guides {self.guides.pattern if self.guides else ''}"
-            raise MissingFrameError(f"{pattern}: {len(missing)} of {len(numbers)} frames are missing: "
-                                    f"{format_frames(missing)}: render them, leave them out with --frames, or give "
-                                    "--on-error skip")
+            raise MissingFrameError(
+                f"{pattern}: {len(missing)} of {len(numbers)} frames are missing: "
+                f"{format_frames(missing)}: render them, leave them out with --frames, or give "
+                "--on-error skip"
+            )
 
     def all_files(self) -> list[Path]:
         """Files of all frames on the disk, wanted or not, and of their guides."""
-        own = [path for frames in self._found.values() for words in frames.values() for path in words.values()]
+        own = [
+            path
+            for frames in self._found.values()
+            for words in frames.values()
+            for path in words.values()
+        ]
         return own + (self.guides.all_files() if self.guides else [])
 
     def inputs(self, number: int) -> list[Path]:
         """All files that a frame is read from; MissingFrameError when one of them is not there."""
         of_views = [self, *map(self.reader, self.views if self.pattern.has_views else ())]
-        return [path for one in of_views for files in (one.files(number), one.guide_files(number) or {})
-                for path in files.values()]
+        return [
+            path
+            for one in of_views
+            for files in (one.files(number), one.guide_files(number) or {})
+            for path in files.values()
+        ]
 
     def files(self, number: int) -> dict[str, Path]:
-        """Plane word ('' where one file holds all planes) -> file of a frame; MissingFrameError when it has none."""
+        """Plane word ('' where one file holds all planes) -> file of a frame; MissingFrameError
+        when it has none."""
         frames, *_ = self._read_files()
         if number not in frames:
             path = self.pattern.of_view(self.view or "").path(number)
-            raise MissingFrameError(f"{path}: frame {number} is missing: render it or leave it out with --frames")
+            raise MissingFrameError(
+                f"{path}: frame {number} is missing: render it or leave it out with --frames"
+            )
         return frames[number]
 
     def guide_files(self, number: int) -> dict[str, Path] | None:
@@ -245,7 +260,8 @@ class Sequence:
         return frames[number]
 
     def shown_size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height of the display window of an output of a size, which is larger where there is overscan."""
+        """Width and height of the display window of an output of a size, which is larger where
+        there is overscan."""
         found = self._areas.get(self.view)
         if found is None:
             return width, height
@@ -254,11 +270,11 @@ class Sequence:
         return shown.width, shown.height
 
     def open(self, number: int) -> FrameFiles:
-        """Open files of a frame: its header and layout without its pixels. Use as a context manager."""
-        guides, strict = self.guide_files(number), not self._named
-        files = FrameFiles(self.files(number), self.profile, guides, self.depth, self.leave, strict, self.without,
-                           self._areas.get(self.view), self._layer, None if self._key else self.view, self.parts,
-                           self.motion != FILE)
+        """Open files of a frame: its header and layout without its pixels. Use as a context
+        manager."""
+        guides, view = self.guide_files(number), None if self._key else self.view
+        settled = Settled(view, self._layer, self._areas.get(self.view), self._named)
+        files = FrameFiles(self.files(number), self.options, settled, guides, self._plans)
         self._layer = self._layer or files.layout.chosen_layer
         self._named = True  # a thing that was found need not be in every frame
         if self._all_views and files.views:
@@ -276,7 +292,10 @@ class Sequence:
         return files
 
     def read(
-        self, number: int, planes: Iterable[Role] | None = None, guides: Iterable[Role] | None = None
+        self,
+        number: int,
+        planes: Iterable[Role] | None = None,
+        guides: Iterable[Role] | None = None,
     ) -> Frame:
         """One frame with the wanted planes and guides (None: those of the constructor, or all).
 
@@ -285,9 +304,10 @@ class Sequence:
         return self._read(number, self._last, planes, guides)
 
     def begins_shot(self, number: int) -> bool:
-        """Whether a frame is said to begin a shot, by the constructor's cuts or its header, whose errors are raised."""
-        if self.cuts is not None:
-            return number in self.cuts
+        """Whether a frame is said to begin a shot, by the constructor's cuts or its header, whose
+        errors are raised."""
+        if self.options.cuts is not None:
+            return number in self.options.cuts
         with self.open(number) as files:
             return files.begins_shot
 
@@ -306,31 +326,36 @@ class Sequence:
         planes = None if planes is None else tuple(planes)
         frame = self._read_view(number, previous, planes, guides)
         for view in self.views:
-            frame.views[view] = self.reader(view)._read_view(number, previous, planes, guides, is_lenient=True)
+            frame.views[view] = self.reader(view)._read_view(
+                number, previous, planes, guides, is_lenient=True
+            )
         return frame
 
     def _read_view(
         self, number: int, previous: int | None, planes: Iterable[Role] | None = None,
         guides: Iterable[Role] | None = None, is_lenient: bool = False
     ) -> Frame:
-        """One view of such a frame; if `is_lenient`, without planes that it lacks, except the colour."""
+        """One view of such a frame; if `is_lenient`, without planes that it lacks, except the
+        colour."""
         with self.open(number) as files:
-            wanted = self.planes if planes is None else planes
+            wanted = self.options.planes if planes is None else planes
             if is_lenient:
                 wanted, guides = files.select_present(wanted, guides)
             wanted, more = self._add_for_motion(files, wanted)
-            frame = files.read(number, wanted, guides, self._scratch)
+            frame = files.read(number, wanted, guides, self.options.scratch)
             lacks_motion = files.lacks_motion
             if files.alone:
                 self.coverage.add(files.alone.shares)
             lights = [name for name, found in files.parts.items() if found.part.is_light]
-        begins = frame.reset if self.cuts is None else number in self.cuts
-        self._estimate_motion(frame, begins, lacks_motion and (wanted is None or Role.MOTION in wanted))
+        begins = frame.reset if self.options.cuts is None else number in self.options.cuts
+        self._estimate_motion(
+            frame, begins, lacks_motion and (wanted is None or Role.MOTION in wanted)
+        )
         for role in more:
             del frame.planes[role]
         self.colours.apply(frame)
-        if self._most and Role.COLOUR in frame:
-            clamp_fireflies(frame, self._most, self.fireflies, lights)
+        if self.options.brightest and Role.COLOUR in frame:
+            clamp_fireflies(frame, self.options.brightest, self.fireflies, lights)
         self._last = number
         after_gap = self._is_after_gap(number, previous)
         frame.reset = begins or after_gap
@@ -339,22 +364,35 @@ class Sequence:
     def _add_for_motion(
         self, files: FrameFiles, wanted: Iterable[Role] | None
     ) -> tuple[tuple[Role, ...] | None, tuple[Role, ...]]:
-        """What to read so that wanted motion can be estimated, and what of that nobody else wants."""
+        """What to read so that wanted motion can be estimated, and what of that nobody else
+        wants."""
         if wanted is None:
             return None, ()
         asked = tuple(map(Role, wanted))
         if not files.lacks_motion or Role.MOTION not in asked:
             return asked, ()
-        more = tuple(role for role in (*SEEN, Role.DEPTH) if role in files.layout.planes and role not in asked)
+        more = tuple(
+            role
+            for role in (*SEEN, Role.DEPTH)
+            if role in files.layout.planes and role not in asked
+        )
         return asked + more, more
 
     def _estimate_motion(self, frame: Frame, begins: bool, is_wanted: bool) -> None:
-        """Give a frame motion that is estimated from its planes and those of the frame before it on the disk, where it
-        is wanted, or where the files hold only zeros and `motion` is 'auto'."""
-        is_zero = self.motion == AUTO and Role.MOTION in frame and not frame[Role.MOTION].any()
+        """Give a frame motion that is estimated from its planes and those of the frame before it on
+        the disk, where it is wanted, or where the files hold only zeros and the option is
+        'auto'."""
+        is_zero = (
+            self.options.motion == AUTO_MOTION
+            and Role.MOTION in frame
+            and not frame[Role.MOTION].any()
+        )
         if not is_wanted and not (is_zero and any(role in frame for role in SEEN)):
             return
-        from postfx.io.estimated_motion import motion_between, picture_of  # few need it, and its kernels take time
+        from postfx.io.estimated_motion import (
+            motion_between,
+            picture_of,
+        )  # few need it, and its kernels take time
 
         before = None if begins else self._picture_before(frame.number)
         picture = picture_of(frame)
@@ -363,11 +401,14 @@ class Sequence:
         self._pictures[self.view] = frame.number, picture
         if is_wanted or motion.any():
             seen = ", ".join(role for role in (*SEEN, Role.DEPTH) if role in frame.planes)
-            self.warn(f"motion is estimated from {seen}, not taken from the files (--motion file: from them alone)")
+            self.warn(
+                f"motion is estimated from {seen}, not taken from the files (--motion file: from them alone)"
+            )
             frame.planes[Role.MOTION] = motion
 
     def _picture_before(self, number: int) -> Picture | None:
-        """Of the frame before on the disk, whatever was read last; None where there is none, or it cannot be read."""
+        """Of the frame before on the disk, whatever was read last; None where there is none, or it
+        cannot be read."""
         from postfx.io.estimated_motion import picture_of
 
         for before in self.before(number, 1):
@@ -382,11 +423,23 @@ class Sequence:
                 return None
         return None
 
+    def _find_guides(self) -> Sequence | None:
+        """Files of guides, of the same views where these have files of their own."""
+        options = self.options
+        if options.guides is None:
+            return None
+        own = ",".join(filter(None, self._known_views)) if self.pattern.has_views else None
+        return Sequence(
+            options.guides, ReadOptions(profile=options.profile, depth=options.depth, view=own)
+        )
+
     def _choose_views(self) -> None:
         """Take the views that are asked for, all by default, where they have files of their own."""
         asked = tuple(filter(None, (self.view, *self.views))) or tuple(self._found)
         if absent := [view for view in asked if view not in self._found]:
-            raise SequenceError(f"{self.pattern}: no view '{absent[0]}': there are files of {', '.join(self._found)}")
+            raise SequenceError(
+                f"{self.pattern}: no view '{absent[0]}': there are files of {', '.join(self._found)}"
+            )
         self.view, self.views, self._all_views = asked[0], asked[1:], False
 
     @property
@@ -395,21 +448,35 @@ class Sequence:
         return self.view or "" if self.pattern.has_views else ""
 
     def _read_files(self) -> list[Frames]:
-        """Files of the frames of each view that is read, or of all views where they share files; the first ones first.
+        """Files of the frames of each view that is read, or of all views where they share files;
+        the first ones first.
         """
-        return [self._found[view] for view in (self._key, *(self.views if self.pattern.has_views else ()))]
+        return [
+            self._found[view]
+            for view in (self._key, *(self.views if self.pattern.has_views else ()))
+        ]
 
     def _warn_of_views(self, views: tuple[str, ...]) -> list[str]:
         others = ", ".join(view for view in views[1:] if view not in self._known_views)
-        return [f"view {views[0]} is read; {others} not, and is only copied where the output keeps other channels: "
-                "--view all denoises all of them"] if others else []
+        return (
+            [
+                f"view {views[0]} is read; {others} not, and is only copied where the output keeps other channels: "
+                "--view all denoises all of them"
+            ]
+            if others
+            else []
+        )
 
     def _warn_of_overlooked(self) -> None:
-        found = [path.name for own in self.pattern.by_view().values() for path in own.find_overlooked()]
+        found = [
+            path.name for own in self.pattern.by_view().values() for path in own.find_overlooked()
+        ]
         if found:
             names = ", ".join(map(make_printable, found[:3])) + ", ..." * (len(found) > 3)
-            self.warn(f"{names}: fewer digits than frames of this pattern have: not read; rename them, or name the "
-                       "frames with one #")
+            self.warn(
+                f"{names}: fewer digits than frames of this pattern have: not read; rename them, or name the "
+                "frames with one #"
+            )
 
     def _is_after_gap(self, number: int, previous: int | None) -> bool:
         if previous is None or previous == number - self._step:
@@ -430,80 +497,42 @@ class Sequence:
         return list(range(numbers[0], numbers[-1] + 1, self._step))
 
 
-def read_sequence(
-    pattern: Source,
-    frames: str | Iterable[int] | None = None,
-    profile: str | None = None,
-    planes: Iterable[Role] | None = None,
-    guides: Source | None = None,
-    depth: str | None = None,
-    cuts: Iterable[int] | None = None,
-    leave: str | None = None,
-    colourspace: str | None = None,
-    without: Iterable[Role] = (),
-    layer: str | None = None,
-    view: str | None = None,
-    aov: str | None = None,
-    aov_denoise: str | None = None,
-    clamp_fireflies: float | None = None,
-    motion: str = FILE,
-) -> Sequence:
+def _by_options(make: Callable[Given, ReadOptions]) -> Callable[
+    [Callable[[Source, ReadOptions], Sequence]], Callable[Concatenate[Source, Given], Sequence]
+]:
+    """Let a function that takes options be called with each of them, by position or by name."""
+
+    def wrap(
+        function: Callable[[Source, ReadOptions], Sequence],
+    ) -> Callable[Concatenate[Source, Given], Sequence]:
+        def call(pattern: Source, *given: Given.args, **named: Given.kwargs) -> Sequence:
+            return function(pattern, make(*given, **named))
+
+        update_wrapper(call, function)
+        pattern, *_ = signature(function).parameters.values()
+        parameters = [pattern, *signature(make).parameters.values()]
+        call.__signature__ = Signature(parameters, return_annotation="Sequence")  # type: ignore[attr-defined]
+        return call  # type: ignore[return-value]  # the pattern may be given by its name, too
+
+    return wrap
+
+
+@_by_options(ReadOptions)
+def read_sequence(pattern: Source, options: ReadOptions) -> Sequence:
     """Frames of a sequence, read one at a time while iterating.
 
     Args:
-        pattern: file name with %04d, ####, @@@@ or $F4 for the frame number, {plane} for the plane where every plane
-            has its own file, and {view} (in Nuke %V) for the view where every view has its own files; or a folder; or a
-            single file; or wildcards such as shot.*.exr; or files in a list. A leading ~ is the home folder.
-        frames: '1-100x2', '1,5,8-12' or numbers; None for all that are on the disk.
-        profile: name of a built-in renderer profile or path of a TOML file; None to detect it.
-        planes: roles to read, of planes and guides; None for all that are there.
-        guides: files of planes at output size (albedos, normal, roughness, depth), named like `pattern`; frame numbers
-            must match. None: planes of `pattern` that are larger than the colour, if there are any.
-        depth: what the depth plane holds, in place of what the profile says: 'reversed,near=0.1', 'ray,fov=54.4',
-            'planar,miss=0', see `postfx.io.convert.parse_depth`.
-        cuts: frame numbers at which a shot begins, in place of what the headers say; empty for nowhere. None: by the
-            headers (postfx:reset). Frames after a gap are marked anyway.
-        leave: what is left as it is, which becomes the plane strength: names in a Cryptomatte, ids, 'auto' for sky and
-            misses, such as 'auto,logo,glass_*=0.5,7-9@id', see `postfx.masks.parse_leave`.
-        colourspace: linear primaries of colours and reflectances, guides included: rec709, p3, rec2020, acescg or
-            aces2065-1, in place of what headers say (chromaticities, colorInteropID; Rec.709 without any). They are
-            converted to Rec.709, where light outside its gamut is negative. 'native' leaves them as they are.
-        without: roles of planes to take as absent, such as `Role.OVERLAY`.
-        layer: view layer or other layer whose channels are read; None for that with the most planes.
-        view: of stereo files, such as 'left'; None for the first, or for all where {view} in `pattern` says that each
-            has files of its own. Several, such as 'left,right', or 'all': each frame is of the first one and holds the
-            others in `Frame.views`.
-        aov: layers that add up to the picture, 'key,fill', or 'auto' for those that the profile knows, which become
-            `Frame.parts`. aov_denoise: other layers by their kind, 'normal=N,depth=Z'.
-        clamp_fireflies: how many times as bright as the pixels around it a pixel may be; see
-            `postfx.repair.clamp_fireflies`.
-        motion: 'file' takes motion from the files alone. 'auto' estimates it from albedo, normal and depth, and those
-            of the frame before, where files have none, or zeros although the planes move; 'estimate' always does.
+        pattern: file name with %04d, ####, @@@@ or $F4 for the frame number, {plane} for the plane
+            where every plane has its own file, and {view} (in Nuke %V) for the view where every
+            view has its own files; or a folder; or a single file; or wildcards such as shot.*.exr;
+            or files in a list. A leading ~ is the home folder.
+        options: those of `ReadOptions`, each by its name: `read_sequence("shot.####.exr",
+            frames="1-100")`.
 
-    Raises SequenceError when nothing is found; iterating raises MissingFrameError, MissingPlaneError, GuideError,
-    ReadError or StrengthError.
+    Raises SequenceError when nothing is found; iterating raises MissingFrameError,
+    MissingPlaneError, GuideError, ReadError or StrengthError.
     """
-    return Sequence(
-        pattern, frames, profile, planes, guides, depth=depth, cuts=cuts, leave=leave, colourspace=colourspace,
-        without=without, layer=layer, view=view, aov=aov, aov_denoise=aov_denoise, clamp_fireflies=clamp_fireflies,
-        motion=motion,
-    )
-
-
-def parse_views(text: str | None) -> tuple[str | None, tuple[str, ...], bool]:
-    """First view (None for the file's first), the others, and whether all are meant, of 'left', 'left,right' or 'all'.
-
-    Raises SequenceError where a name is given twice or is empty.
-    """
-    if text is None or text == ALL_VIEWS:
-        return None, (), text == ALL_VIEWS
-    names = [name.strip() for name in text.split(",")]
-    if not all(names) or len(set(names)) < len(names):
-        raise SequenceError(f"views '{text}': name each view once, like left,right, or give all")
-    return names[0], tuple(names[1:]), False
-
-
-ALL_VIEWS = "all"
+    return Sequence(pattern, options)
 
 
 def _files_of(pattern: Pattern) -> dict[str, Frames]:
@@ -514,4 +543,6 @@ def _files_of(pattern: Pattern) -> dict[str, Frames]:
 
 def _step(numbers: list[int]) -> int:
     """Least distance between neighbours."""
-    return min((after - before for before, after in zip(numbers, numbers[1:], strict=False)), default=1)
+    return min(
+        (after - before for before, after in zip(numbers, numbers[1:], strict=False)), default=1
+    )

@@ -69,27 +69,36 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One part (sub-image) of a file.
+    """One part (sub-image) of a file: how its pixels lie there, which is the same in all frames of most sequences.
 
-    `formats` are those of the channels: half, float or uint. Whole chunks lie in every `chunk` rows. Planes are read as
-    they lie in `area`: the display window, or more where there is overscan.
+    Attributes:
+        index: of the sub-image, counted from 0.
+        name, view: '' where the header does not say them.
+        views: all that the header lists, or None.
+        channels: names, in the order of the file.
+        formats: of the channels: half, float or uint.
+        chunk: rows in which whole chunks lie.
+        data, display: windows.
+        area: rectangle that planes are read in: the display window, or more where there is overscan.
+        is_picture: whether its R, G, B (and A) are a picture that postfx wrote.
     """
 
     index: int
     name: str
     view: str
+    views: tuple[str, ...] | None
     channels: tuple[str, ...]
     formats: tuple[str, ...]
     chunk: int
     data: Window
     display: Window
-    attributes: Mapping[str, Any]
     area: Window
+    is_picture: bool
 
     @property
-    def is_picture(self) -> bool:
-        """Whether its R, G, B (and A) are a picture that postfx wrote."""
-        return PICTURE in self.attributes
+    def key(self) -> tuple[object, ...]:
+        """All of it: what two parts are compared by."""
+        return tuple(vars(self).values())
 
 
 def to_area(pixels: np.ndarray, part: Part, fill: float) -> np.ndarray:
@@ -129,22 +138,29 @@ def _is_enlarged(small: Window, large: Window) -> bool:
     return enlarged and (small.x0, small.y0) == (large.x0, large.y0)
 
 
-def part_of(index: int, spec: oiio.ImageSpec) -> Part:
-    attributes = {EXR_NAMES.get(entry.name, entry.name): entry.value for entry in spec.extra_attribs}
-    if "framesPerSecond" in attributes:
-        attributes["framesPerSecond"] = _quotient(attributes["framesPerSecond"])
-    display = _window(spec.full_x, spec.full_y, spec.full_width, spec.full_height)
+def attributes_of(spec: oiio.ImageSpec) -> dict[str, Any]:
+    """Header attributes of a part, by OpenEXR's names."""
+    found = {EXR_NAMES.get(entry.name, entry.name): entry.value for entry in spec.extra_attribs}
+    if "framesPerSecond" in found:
+        found["framesPerSecond"] = _quotient(found["framesPerSecond"])
+    return found
+
+
+def part_of(index: int, spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> Part:
+    """The part that OpenImageIO describes so, and its header attributes."""
+    display, views = _window(spec.full_x, spec.full_y, spec.full_width, spec.full_height), attributes.get("multiView")
     return Part(
         index=index,
         name=str(attributes.get("oiio:subimagename", "")),
         view=str(attributes.get("view", "")),
+        views=tuple(map(str, views)) if isinstance(views, tuple) else None,
         channels=tuple(spec.channelnames),
-        formats=tuple(str(spec.channelformat(channel)) for channel in range(spec.nchannels)),
+        formats=tuple(map(str, spec.channelformats)) or (str(spec.format),) * spec.nchannels,
         chunk=spec.tile_height or (256 if str(attributes.get("compression")).startswith(_TALL) else 32),
         data=_window(spec.x, spec.y, spec.width, spec.height),
         display=display,
-        attributes=attributes,
         area=display,
+        is_picture=PICTURE in attributes,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
@@ -17,17 +18,22 @@ from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file, with_slashes
 from postfx.frame import LINEAR, LOG, Frame, Role
-from postfx.io.encode import JPEG, Dither, Picture, encode, has_end, light_of, quantise, tag_codes, tag_light, to_halves
+from postfx.io.encoder import cut_pieces, encode_all, encode_pixel, tag_codes
 from postfx.io.exr.container import COMPRESSIONS, can_compress
 from postfx.io.exr.passthrough import enlargement_of, select_attributes, set_attributes
+from postfx.io.exr.picture import Picture, light_of, tag_light, to_halves, write_exr
 from postfx.io.image_file import reason_of
+from postfx.io.jpeg import JPEG_SUFFIXES, write_jpeg
 from postfx.io.pattern import PLANE, VIEW, Pattern, parse_pattern, split_folder
+from postfx.io.png import OWN_CHANNELS, write_png
+from postfx.io.quantisation import Dither, quantise
 from postfx.io.sequence import Sequence
+from postfx.io.wholeness import has_end
 from postfx.io.windows import OutputWindows, Pixels, crop, output_windows
 from postfx.version import __version__
 
 LINEAR_FORMATS = (".exr",)
-DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG)
+DISPLAY_FORMATS = (".png", ".tif", ".tiff", *JPEG_SUFFIXES)
 WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
 _VIDEOS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".gif")
 _DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays if not told otherwise
@@ -58,11 +64,11 @@ def check_storage(path: Path, bits: int | None, compression: str, encoding: str)
     values of an encoding."""
     suffix = path.suffix.lower()
     display = None if encoding in LINEAR else parse_display(encoding)
-    may_have = (16, 32) if suffix in LINEAR_FORMATS else (8,) if suffix in JPEG else (8, 16)
+    may_have = (16, 32) if suffix in LINEAR_FORMATS else (8,) if suffix in JPEG_SUFFIXES else (8, 16)
     if bits is not None and bits not in may_have:
         raise WriteError(f"{path}: cannot have {bits} bits: {suffix[1:].upper()} has {' or '.join(map(str, may_have))}")
-    if suffix not in LINEAR_FORMATS and display and display.hdr and (suffix in JPEG or bits == 8):
-        few = "JPEG has too few bits" if suffix in JPEG else "8 bits are too few"
+    if suffix not in LINEAR_FORMATS and display and display.hdr and (suffix in JPEG_SUFFIXES or bits == 8):
+        few = "JPEG has too few bits" if suffix in JPEG_SUFFIXES else "8 bits are too few"
         raise WriteError(f"{path}: {few} for {display.kind.title}: write PNG or TIFF, of 16 bits")
     check_compression(path, compression)
 
@@ -99,7 +105,7 @@ def write_frame(
     views of a frame go into one EXR, under the names that they had in its source.
 
     Other files hold code values within the display window; 8 bits are dithered. They are tagged with the display that
-    they are for, see `postfx.io.encode`. Linear frames are clipped to 0..1 there and encoded as sRGB, so tone-map them
+    they are for, see `postfx.io.encoder`. Linear frames are clipped to 0..1 there and encoded as sRGB, so tone-map them
     first.
 
     The file appears under its name only when it is complete; folders are made.
@@ -143,15 +149,31 @@ def write_frame(
         LOG.warning("%s: pixels that are NaN become black by %s compression", path, compression)
     with output_file(path) as temporary:
         for limit in _LIMITS if is_lossy else _LIMITS[:1]:
-            first, *others = [_limited(picture, limit) for picture in pictures]
-            encode(temporary, path.suffix.lower(), first.spec, first.convert, relax, frame if keep else None,
-                   [first, *others] if others else ())
+            limited = [_limited(picture, limit) for picture in pictures]
+            if shown:
+                _write_display(temporary, path.suffix.lower(), limited[0], relax)
+            else:
+                write_exr(temporary, limited, relax, keeps_rest=keep)
             if not is_lossy or _is_finite(temporary):
                 break
     if limit is not None:
         LOG.warning("%s: light above %d is cut there, as %s compression would make it infinite", path, limit,
                     compression)
     return path
+
+
+def _write_display(path: Path, suffix: str, picture: Picture, relax: Callable[[], None] | None) -> None:
+    """Encode a picture for a display in the format of a suffix. Raises OSError unless all bytes are in the file, which
+    encoders do not tell."""
+    spec, convert, _ = picture
+    if suffix in JPEG_SUFFIXES:
+        write_jpeg(path, spec.image_bytes(), lambda to: encode_all(to, suffix, spec, convert, relax))
+    elif suffix == ".png" and spec.nchannels == OWN_CHANNELS:
+        write_png(path, encode_pixel(suffix, spec), (spec.width, spec.height), cut_pieces(spec, convert, relax))
+    else:
+        encode_all(path, suffix, spec, convert, relax)
+    if not has_end(path, suffix):
+        raise OSError(errno.ENOSPC, "the file has no end")
 
 
 def write_channels(
@@ -174,7 +196,7 @@ def write_channels(
     spec.attribute("compression", "zip")
     set_attributes(spec, attributes or {})
     with output_file(path) as temporary:
-        encode(temporary, ".exr", spec, lambda rows: np.stack([plane[rows] for plane in planes], axis=2), None)
+        write_exr(temporary, [Picture(spec, lambda rows: np.stack([plane[rows] for plane in planes], axis=2))])
     return path
 
 
@@ -249,7 +271,7 @@ def _linear_pixels(frame: Frame, half: bool) -> Pixels:
 
 def _code_pixels(frame: Frame, path: Path, dither: Dither, bits: int | None) -> Pixels:
     suffix, display = path.suffix.lower(), _display_of(frame)
-    opaque = Role.ALPHA not in frame or suffix in JPEG or frame[Role.ALPHA].min() >= 1
+    opaque = Role.ALPHA not in frame or suffix in JPEG_SUFFIXES or frame[Role.ALPHA].min() >= 1
     straight = suffix == ".png" and not opaque
     depth = bits or (16 if suffix in _DEEP or (display and display.hdr) else 8)
 
@@ -335,7 +357,7 @@ def _spec(frame: Frame, windows: OutputWindows, pixels: np.ndarray, path: Path) 
         tag_codes(spec, display or SRGB_DISPLAY, path)
         if path.suffix.lower() == ".png":
             spec.attribute("oiio:UnassociatedAlpha", 1)
-        if path.suffix.lower() in JPEG:  # TIFF would take it for a level of deflate
+        if path.suffix.lower() in JPEG_SUFFIXES:  # TIFF would take it for a level of deflate
             spec.attribute("CompressionQuality", 95)
         spec.attribute("png:compressionLevel", _PNG_LEVEL)
         spec.attribute("png:filter", _PNG_PAETH)

@@ -239,7 +239,7 @@ class Backwards:
     def _sequence(self) -> Sequence:
         """A separate reader, made after the first read in order, which decides on layout and area."""
         found = self._given.reader()
-        found.parts = None  # only the picture is mixed
+        found.options = found.options.without_parts()  # only the picture is mixed
         return found
 
     def _follow(self, frame: Frame | None) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from postfx.cli.chunks import describe_job
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from postfx.runs.schedule import Chunk, find_preroll, make_chunks
 
 RUN = ("--scale", "1", "--model", "s", "--threads", "1")
@@ -69,7 +69,7 @@ def test_a_preroll_ends_where_the_shot_begins_and_where_a_frame_is_missing(six):
     shot = Sequence(files)
     assert find_preroll(shot, 4) == [1, 2, 3] and find_preroll(shot, 4, 2) == [2, 3]
     assert find_preroll(shot, 5) == [] and find_preroll(shot, 6) == [5] and find_preroll(shot, 1) == []
-    assert find_preroll(Sequence(files, cuts=[3]), 6) == [3, 4, 5]
+    assert find_preroll(read_sequence(files, cuts=[3]), 6) == [3, 4, 5]
     (six / "in/shot.0002.exr").unlink()
     assert find_preroll(Sequence(files), 4) == [3]
 
@@ -88,7 +88,7 @@ def test_a_chunk_names_the_frame_that_motion_is_estimated_from(write_exr, tmp_pa
     monkeypatch.setattr("postfx.runs.schedule.find_preroll", lambda sequence, number: find_preroll(sequence, number, 1))
     for name, motion, first in (("without", "auto", 1), ("with", "estimate", 1), ("with", "auto", 2),
                                 ("without", "file", 2)):
-        shot = Sequence(str(tmp_path / f"{name}.#.exr"), motion=motion)
+        shot = read_sequence(str(tmp_path / f"{name}.#.exr"), motion=motion)
         assert [chunk.reads[0] for chunk in make_chunks(shot, 2)] == [1, first, first + 2], (name, motion)
 
 

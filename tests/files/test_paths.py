@@ -190,8 +190,8 @@ def as_nobody(*commands: str) -> list[str]:
            "os.seteuid(65534) if os.getuid() == 0 else 0\n"
     imports = "import sys; sys.path.insert(0, sys.argv[1])\nfrom postfx.io.sequence import *\n" \
               "from postfx.io.writer import write_frame\nfrom postfx.errors import PostfxError\n" \
-              "import postfx.frame, postfx.io.encode, numpy as np\n" \
-              "postfx.io.encode.to_halves(np.zeros(1))\n" \
+              "import postfx.frame, postfx.io.exr.picture, numpy as np\n" \
+              "postfx.io.exr.picture.to_halves(np.zeros(1))\n" \
               "frame = postfx.frame.Frame({'colour': np.ones((4, 4, 3), np.float32)})\n"
     guarded = [f"try:\n    {command}\nexcept PostfxError as error:\n    print(type(error).__name__, error)\n"
                for command in commands]

@@ -117,16 +117,19 @@ def test_a_disk_that_fails_late(tmp_path: Path, suffix: str, monkeypatch: pytest
 def test_an_encoder_that_says_all_is_well_is_not_believed(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from postfx.io import encode as encoders
-    name = {".exr": "_write_exr", ".png": "_write_png"}.get(suffix, "_encode")
-    encode = getattr(encoders, name)
+    from postfx.io import writer
+    from postfx.io.exr import picture
+
+    own = {".exr": (picture, "write_container"), ".png": (writer, "write_png")}
+    home, name = own.get(suffix, (writer, "encode_all"))
+    encode = getattr(home, name)
 
     def lose_the_end(path: Path, *rest: object) -> object:
         said = encode(path, *rest)
         os.truncate(path, os.path.getsize(path) - 20)
         return said
 
-    monkeypatch.setattr(encoders, name, lose_the_end)
+    monkeypatch.setattr(home, name, lose_the_end)
     with pytest.raises(WriteError, match="cannot be written"):
         write_frame(tmp_path / f"a{suffix}", noise())
     assert names(tmp_path) == []

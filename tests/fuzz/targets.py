@@ -18,6 +18,7 @@ from postfx.io.exr.container import ExrContainer
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.pattern import number_in_name, parse_frames, parse_pattern, pattern_of
 from postfx.io.profile import BUILTIN, load_profile
+from postfx.io.read_options import ReadOptions
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
 from postfx.masks import parse_leave
@@ -77,7 +78,7 @@ def profile(content: bytes) -> None:
     path.write_bytes(content)
     load_profile.cache_clear()
     load_profile(str(path))
-    with FrameFiles({"": _sample()}, str(path)) as files:
+    with FrameFiles({"": _sample()}, ReadOptions(profile=str(path))) as files:
         files.read(1)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.io.encode import SIDE, Dither, blue_noise, quantise
+from postfx.io.quantisation import SIDE, Dither, blue_noise, quantise
 
 DITHERED = (Dither.MOVING, Dither.STATIC)
 

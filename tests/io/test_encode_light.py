@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.colour.displays import KINDS, parse_display
-from postfx.io.encode import light_of, to_halves
+from postfx.io.exr.picture import light_of, to_halves
 
 LEAST_NORMAL = 2.0**-14
 

@@ -11,7 +11,7 @@ import pytest
 
 from postfx.colour.displays import KINDS
 from postfx.frame import Frame, Role
-from postfx.io import encode as encoders
+from postfx.io import encoder, writer
 from postfx.io.writer import write_frame
 
 SIZES = (1, 1), (1, 9), (9, 1), (45, 37)
@@ -24,7 +24,7 @@ def picture(encoding: str, size: tuple[int, int], smooth: bool = False) -> Frame
 
 def by_openimageio(path: Path, frame: Frame, monkeypatch: pytest.MonkeyPatch) -> Path:
     with monkeypatch.context() as patched:
-        patched.setattr(encoders, "OPAQUE", None)
+        patched.setattr(writer, "OWN_CHANNELS", None)
         return write_frame(path, frame)
 
 
@@ -61,7 +61,7 @@ def test_all_that_is_said_and_all_pixels(
 def test_pieces_are_one_stream(encoding: str, smooth: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frame = picture(encoding, (70, 33), smooth)
     whole = write_frame(tmp_path / "whole.png", frame)
-    monkeypatch.setattr(encoders, "_PIECE", 1)
+    monkeypatch.setattr(encoder, "PIECE_BYTES", 1)
     pieces = write_frame(tmp_path / "pieces.png", frame)
     one, other = (b"".join(content for kind, content in chunks(path) if kind == b"IDAT") for path in (whole, pieces))
     assert zlib.decompress(one) == zlib.decompress(other)

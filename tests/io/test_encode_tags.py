@@ -13,7 +13,7 @@ from postfx.colour import REC2020
 from postfx.colour.displays import KINDS, parse_display
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
-from postfx.io.encode import make_profile
+from postfx.io.icc import make_profile
 from postfx.io.writer import write_frame
 
 Image = pytest.importorskip("PIL.Image")

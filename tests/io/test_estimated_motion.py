@@ -13,7 +13,7 @@ from postfx.cli.main import main
 from postfx.errors import FrameError, SequenceError
 from postfx.frame import Frame, Role
 from postfx.io.estimated_motion import motion_of, picture_of
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from tests.integrate.pinhole import hit_plane, hit_sphere, turned
 
 HEIGHT, WIDTH = 108, 192
@@ -127,40 +127,40 @@ def walk(write_exr: Callable[..., Path]) -> str:
 
 
 def test_a_sequence_estimates_motion_whatever_was_read_before(walk: str) -> None:
-    shot = Sequence(walk, motion="auto")
+    shot = read_sequence(walk, motion="auto")
     with shot.open(3) as files:
         spec = files.spec()
     frames = list(shot)
     assert frames[2].spec == spec and Role.MOTION in spec.roles
     assert not frames[0][Role.MOTION].any() and np.abs(frames[2][Role.MOTION]).mean() > 1
     assert sum("motion is estimated" in text for text in shot.warnings) == 1
-    alone = Sequence(walk, "3", motion="estimate").read(3, (Role.COLOUR, Role.MOTION))
+    alone = read_sequence(walk, "3", motion="estimate").read(3, (Role.COLOUR, Role.MOTION))
     assert list(alone.planes) == [Role.COLOUR, Role.MOTION], "what is only looked at is not kept"
-    for own in (alone, Sequence(walk, "4,3,2", motion="auto").read(3)):
+    for own in (alone, read_sequence(walk, "4,3,2", motion="auto").read(3)):
         np.testing.assert_array_equal(own[Role.MOTION], frames[2][Role.MOTION])
-    assert not Sequence(walk, motion="auto", cuts=[3]).read(3)[Role.MOTION].any()
+    assert not read_sequence(walk, motion="auto", cuts=[3]).read(3)[Role.MOTION].any()
     assert Role.MOTION not in Sequence(walk).read(3)
     with pytest.raises(SequenceError, match="motion 'guess': give auto, file or estimate"):
-        Sequence(walk, motion="guess")
+        read_sequence(walk, motion="guess")
 
 
 def test_a_frame_that_is_written_again_is_looked_at_again(walk: str) -> None:
     """As by a renderer, while `postfx watch` shows the frames."""
-    shot, folder = Sequence(walk, motion="auto"), Path(walk).parent
+    shot, folder = read_sequence(walk, motion="auto"), Path(walk).parent
     shot.read(2)
     first = shot.read(3)[Role.MOTION]
     shot.read(2)
     shutil.copy(folder / "in.0001.exr", folder / "in.0002.exr")
     shot.look_again(1)
     again = shot.read(3)[Role.MOTION]
-    np.testing.assert_array_equal(again, Sequence(walk, motion="auto").read(3)[Role.MOTION])
+    np.testing.assert_array_equal(again, read_sequence(walk, motion="auto").read(3)[Role.MOTION])
     assert not np.array_equal(again, first)
 
 
 def test_zeros_in_files_are_replaced_where_the_planes_move(walk: str) -> None:
     zero = walk.replace("in.", "zero.")
-    expected = Sequence(walk, motion="auto").read(3)[Role.MOTION]
-    np.testing.assert_array_equal(Sequence(zero, motion="auto").read(3)[Role.MOTION], expected)
+    expected = read_sequence(walk, motion="auto").read(3)[Role.MOTION]
+    np.testing.assert_array_equal(read_sequence(zero, motion="auto").read(3)[Role.MOTION], expected)
     assert not Sequence(zero).read(3)[Role.MOTION].any()
 
 
@@ -175,6 +175,6 @@ def test_shared_sequences(shared_dir: Path, name: str, most: float) -> None:
     files = str(shared_dir / "sequences" / name / "noisy.####.exr")
     number = Sequence(files).numbers[3]
     truth = Sequence(files).read(number)[Role.MOTION]
-    found = Sequence(files, motion="estimate").read(number)[Role.MOTION]
+    found = read_sequence(files, motion="estimate").read(number)[Role.MOTION]
     assert np.median(np.linalg.norm(truth, axis=-1)) > 1
     assert np.median(np.linalg.norm(found - truth, axis=-1)) < most

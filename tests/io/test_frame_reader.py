@@ -9,7 +9,9 @@ from postfx.errors import MissingPlaneError, ProfileError, ReadError
 from postfx.frame import DEPTH_MISS, Role
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.profile import load_profile, profile_names
-from postfx.io.sequence import Sequence, read_sequence
+from postfx.io.read_options import ReadOptions
+from postfx.io.read_plan import Settled
+from postfx.io.sequence import read_sequence
 from postfx.system import Scratch
 
 TURN = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [1, 2, 3, 1]], np.float32)
@@ -17,7 +19,7 @@ TURN = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [1, 2, 3, 1]], np.fl
 
 
 def open_files(path: Path, profile: str | None = None) -> FrameFiles:
-    return FrameFiles({"": path}, profile)
+    return FrameFiles({"": path}, ReadOptions(profile=profile))
 
 
 def blender_channels(ramp, layer: str = "ViewLayer") -> dict[str, np.ndarray]:
@@ -177,7 +179,7 @@ def test_a_plane_of_channels_of_two_sizes_is_refused(write_exr, ramp, tmp_path, 
     write_exr("beauty.0001.exr", ramp("R", "G", "B", "motion.X"))
     write_exr("motion.0001.exr", ramp("Y", **size))
     with pytest.raises(ReadError, match=r"0001\.exr: channels motion\.X, Y differ in size; write them as one"):
-        Sequence(tmp_path, scratch=memory and Scratch(memory)).read(1)
+        read_sequence(tmp_path, scratch=memory and Scratch(memory)).read(1)
 
 
 def test_missing_plane_names_file_plane_and_mend(write_exr, ramp):
@@ -223,7 +225,7 @@ def test_unknown_profile_lists_the_known():
 def test_overscan_beyond_that_of_frames_before_warns(write_exr, ramp):
     first = write_exr("a.exr", ramp("R", "G", "B", height=5, width=5), origin=(-1, 0), display=(0, 0, 4, 4))
     path = write_exr("b.exr", ramp("R", "G", "B"), origin=(-1, -1), display=(0, 0, 4, 4))
-    with open_files(first) as files, FrameFiles({"": path}, area=files.area) as later:
+    with open_files(first) as files, FrameFiles({"": path}, settled=Settled(area=files.area)) as later:
         assert files.layout.warnings == []
         assert later.layout.warnings == ["overscan beyond that of the first frame is cut off"]
         assert (later.spec().width, later.spec().height) == (files.spec().width, files.spec().height) == (5, 5)

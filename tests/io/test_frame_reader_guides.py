@@ -52,7 +52,7 @@ def test_guides_are_found_by_folder_pattern_and_first_file(shot, tmp_path):
 
 def test_spec_tells_of_guides_without_reading_them(shot):
     noisy, guides = shot(1)
-    with Sequence(noisy, guides=guides).open(1) as files:
+    with read_sequence(noisy, guides=guides).open(1) as files:
         assert files.spec().guides == GuideSpec(16, 12, (Role.DIFFUSE_ALBEDO, Role.DEPTH))
         unread = files.read(1, (Role.COLOUR,), ())
     assert unread.guides == {} and unread.spec.guides == GuideSpec(16, 12, ())
@@ -79,7 +79,7 @@ def test_a_missing_frame_of_guides_is_one_clear_line(shot):
 
 def test_frames_that_fill_the_history_have_guides(shot):
     noisy, guides = shot(1, 2, 3, 4, 5, guides=(1, 3, 4, 5))
-    assert Sequence(noisy, guides=guides).before(5, 8) == [3, 4]
+    assert read_sequence(noisy, guides=guides).before(5, 8) == [3, 4]
     assert Sequence(noisy).before(5, 8) == [1, 2, 3, 4]
 
 

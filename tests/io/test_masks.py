@@ -13,8 +13,9 @@ import pytest
 from postfx.errors import PostfxError
 from postfx.frame import Role
 from postfx.io.frame_reader import FrameFiles
-from postfx.io.sequence import Sequence, read_sequence
-from postfx.masks import StrengthError, id_of_name, parse_leave
+from postfx.io.read_options import ReadOptions
+from postfx.io.sequence import read_sequence
+from postfx.masks import StrengthError, id_of_name
 from postfx.system import Scratch
 
 NAMES = ("sky_dome", "sky_sun", "logo")
@@ -113,7 +114,7 @@ def test_parts_and_a_file_for_each_plane(tmp_path: Path) -> None:
     for part, name in zip(parts, ("beauty", "crypto"), strict=True):
         OpenEXR.File([part]).write(str(tmp_path / f"shot_{name}.0001.exr"))
     with FrameFiles({word: tmp_path / f"shot_{word}.0001.exr" for word in ("beauty", "crypto")},
-                    leave=parse_leave("sky_*")) as files:
+                    ReadOptions(leave="sky_*")) as files:
         np.testing.assert_allclose(files.read(1)[Role.STRENGTH][:, 3, 0], wanted, atol=1e-6)
 
 
@@ -135,31 +136,31 @@ def test_ids_keep_all_their_bits_and_are_empty_outside_of_the_data(tmp_path: Pat
     channels = {name: np.ones((4, 8), np.float32) for name in "RGB"} | {"id.Y": ids}
     OpenEXR.File({"type": OpenEXR.scanlineimage, **window}, channels).write(str(tmp_path / "a.0001.exr"))
     for scratch in (None, Scratch(4096)):
-        frame = Sequence(tmp_path / "a.0001.exr", leave="4000000007@id", scratch=scratch).read(1)
+        frame = read_sequence(tmp_path / "a.0001.exr", leave="4000000007@id", scratch=scratch).read(1)
         np.testing.assert_array_equal(frame[Role.STRENGTH][:, 3, 0], [1, 0, 1, 0, 0, 1])
 
 
 def test_a_plane_of_the_file_counts_too(write: Callable[..., Path]) -> None:
     own = np.full(SIZE, 0.5, np.float32)
     path = write(colours() | ranks("CryptoObject") | {"strength.Y": own}, **header())
-    sequence = Sequence(path, leave="sky_dome")
+    sequence = read_sequence(path, leave="sky_dome")
     np.testing.assert_allclose(sequence.read(1)[Role.STRENGTH][:, 3, 0], [0, 0, 0.25, 1 / 3, 0.5, 0.5], atol=1e-6)
     np.testing.assert_allclose(strength(path, "sky_dome", planes=["strength"])[:3], [0, 0, 0.25])
-    with FrameFiles({"": path}, leave=parse_leave("sky_dome")) as files:
+    with FrameFiles({"": path}, ReadOptions(leave="sky_dome")) as files:
         assert files.spec().roles == (Role.COLOUR, Role.STRENGTH)
 
 
 def test_misses_are_found_by_planes_that_are_not_asked_for(write: Callable[..., Path]) -> None:
     path = write({**{name: np.ones((40, 30), np.float32) for name in "RGB"},
                   "depth.Z": np.full((40, 30), 1e10, np.float32)})
-    frame = Sequence(path, leave="auto=0.5", planes=["colour", "strength"]).read(1)
+    frame = read_sequence(path, leave="auto=0.5", planes=["colour", "strength"]).read(1)
     assert set(frame.planes) == {Role.COLOUR, Role.STRENGTH}
     np.testing.assert_array_equal(frame[Role.STRENGTH], 0.5)
 
 
 def test_in_pieces_all_is_the_same(write: Callable[..., Path]) -> None:
     path = write(colours() | ranks("CryptoObject") | {"depth.Z": np.full(SIZE, 1e10, np.float32)}, **header())
-    whole, pieces = (Sequence(path, leave="logo,sky_sun=0.5,auto=0.2", scratch=scratch) for scratch in
+    whole, pieces = (read_sequence(path, leave="logo,sky_sun=0.5,auto=0.2", scratch=scratch) for scratch in
                      (None, Scratch(4096)))
     np.testing.assert_array_equal(pieces.read(1)[Role.STRENGTH], whole.read(1)[Role.STRENGTH])
     assert str(pieces.coverage) == str(whole.coverage)
@@ -167,7 +168,7 @@ def test_in_pieces_all_is_the_same(write: Callable[..., Path]) -> None:
 
 def test_what_is_left_alone_is_counted(write: Callable[..., Path]) -> None:
     path = write(colours() | ranks("CryptoObject"), **header())
-    sequence = Sequence(path, leave="sky_*,logo=0.5")
+    sequence = read_sequence(path, leave="sky_*,logo=0.5")
     assert sequence.coverage_of(1).as_dict() == {
         "frames": 1, "share": 0.5, "covered": {"sky_*": round((3 + 2 / 3) / 6, 4), "logo=0.5": round(1 / 18, 4)}}
     sequence.read(1), sequence.read(1, [Role.COLOUR])
@@ -179,7 +180,7 @@ def test_a_thing_need_not_be_in_every_frame(write: Callable[..., Path]) -> None:
     """A manifest may name only what is seen; the first frame tells whether the name was mistyped."""
     path = write(colours() | ranks("CryptoObject"), **header())
     write(colours() | ranks("CryptoObject"), "shot.0002.exr", **header(manifest='{"other": "00000000"}'))
-    sequence = Sequence(path.with_name("shot.####.exr"), leave="logo")
+    sequence = read_sequence(path.with_name("shot.####.exr"), leave="logo")
     assert sequence.read(1)[Role.STRENGTH].min() < 1
     np.testing.assert_array_equal(sequence.read(2)[Role.STRENGTH], 1)
 
@@ -224,7 +225,7 @@ def test_planes_of_another_size(tmp_path: Path) -> None:
     OpenEXR.File({"type": OpenEXR.scanlineimage}, colours()).write(str(tmp_path / "beauty.exr"))
     OpenEXR.File({"type": OpenEXR.scanlineimage, **header()}, larger).write(str(tmp_path / "crypto.exr"))
     with pytest.raises(StrengthError, match="CryptoObject is 16x12, the colour is 8x6: render both at one size"):
-        FrameFiles({word: tmp_path / f"{word}.exr" for word in ("beauty", "crypto")}, leave=parse_leave("logo"))
+        FrameFiles({word: tmp_path / f"{word}.exr" for word in ("beauty", "crypto")}, ReadOptions(leave="logo"))
 
 
 def test_a_real_cryptomatte_with_names_like_wildcards(shared_dir: Path) -> None:
@@ -271,7 +272,7 @@ def converged(name: str, letters: str, value: float) -> Channels:
 def test_what_renderers_tell_of_their_error(
     write: Callable[..., Path], channels: Channels, header: dict[str, int | str], basis: str
 ) -> None:
-    sequence = Sequence(write(channels, **header), leave="converged:0.01")
+    sequence = read_sequence(write(channels, **header), leave="converged:0.01")
     found = sequence.read(1)[Role.STRENGTH][:, :, 0]
     assert (found[:26] == 0).all() and (found[32:] == 1).all()
     assert str(sequence.coverage).endswith(f"converged:0.01 covers 43.8 % by {basis}")
@@ -284,7 +285,7 @@ def test_counts_of_cycles_are_numbers_or_shares(write: Callable[..., Path]) -> N
         count = np.full((64, 48), 512 / unit, np.float32)
         count[32:] = 64 / unit
         path = write(colour | {"ViewLayer.Debug Sample Count.X": count}, **{"cycles.ViewLayer.samples": "512"})
-        sequence = Sequence(path, leave="converged:256spp=0.5")
+        sequence = read_sequence(path, leave="converged:256spp=0.5")
         found = sequence.read(1)[Role.STRENGTH][:, :, 0]
         assert (found[:28] == 0.5).all() and (found[32:] == 1).all()
         assert "by plane 'sample_count'" in str(sequence.coverage)
@@ -296,9 +297,9 @@ def test_what_cannot_tell_that_it_has_converged(write: Callable[..., Path], tmp_
                            ("converged:64spp", "'converged:64spp': the number of samples is unknown: render the"),
                            ("converged", "'converged': give a relative error, such as converged:0.01, or a number")):
         with pytest.raises(StrengthError, match=message):
-            Sequence(path, leave=leave).read(1)
+            read_sequence(path, leave=leave).read(1)
     OpenEXR.File({"type": OpenEXR.scanlineimage}, colours()).write(str(tmp_path / "beauty.exr"))
     OpenEXR.File({"type": OpenEXR.scanlineimage}, converged("mse.", "RGB", 1.0)).write(str(tmp_path / "noise.exr"))
     with pytest.raises(StrengthError, match="plane 'variance_of_mean' is 48x64, the colour is 8x6: render both"):
         FrameFiles({word: tmp_path / f"{word}.exr" for word in ("beauty", "noise")},
-                   leave=parse_leave("converged:0.01"))
+                   ReadOptions(leave="converged:0.01"))

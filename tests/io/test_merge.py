@@ -46,7 +46,7 @@ def read(path: Path) -> dict[str, np.ndarray]:
 
 def attributes(path: Path) -> dict:
     with ImageFile(path) as file:
-        return dict(file.parts[0].attributes)
+        return dict(file.headers[0])
 
 
 def noisy(seed: int, names=("R", "G", "B"), size=SIZE) -> dict[str, np.ndarray]:

@@ -12,7 +12,7 @@ from postfx.cli.main import main
 from postfx.errors import MissingPlaneError, OptionError
 from postfx.frame import Part, Role
 from postfx.io.parts import find_sets, group_parts, parse_parts
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import read_sequence
 from tests.passes.denoise_frames import noisy
 
 SIZE = 24, 32
@@ -75,7 +75,7 @@ def cycles(tmp_path: Path) -> Path:
 
 
 def test_cycles_passes_are_found_multiplied_denoised_and_divided_again(cycles: Path, tmp_path: Path) -> None:
-    sequence = Sequence(str(cycles), aov="auto", aov_denoise="mist=Mist")
+    sequence = read_sequence(str(cycles), aov="auto", aov_denoise="mist=Mist")
     with sequence.open(1) as files:
         kinds = {name.removeprefix("ViewLayer."): (found.part.kind, found.part.group)
                  for name, found in files.parts.items()}
@@ -130,7 +130,7 @@ def test_fireflies_are_clamped_in_the_picture_and_its_parts(tmp_path: Path, caps
     colour[5, 5], colour[9:11, 9] = (90, 30, 0), 40
     colour[20] = 40  # a line of light is no firefly
     path = write(tmp_path / "a.0001.exr", {"": colour, "key": 0.75 * colour, "fill": 0.25 * colour})
-    plain, clamped = Sequence(str(path), aov="key,fill"), Sequence(str(path), aov="key,fill", clamp_fireflies=8)
+    plain, clamped = (read_sequence(str(path), aov="key,fill", clamp_fireflies=most) for most in (None, 8))
     before, frame, count = plain.read(1), clamped.read(1), clamped.fireflies
     np.testing.assert_array_equal(before[Role.COLOUR], colour)
     most = 8 * colour.max(axis=2).mean()
@@ -148,11 +148,11 @@ def test_fireflies_are_clamped_in_the_picture_and_its_parts(tmp_path: Path, caps
 
 
 def test_groups_by_name_and_what_is_not_there(cycles: Path) -> None:
-    with Sequence(str(cycles), aov="key, Combined_fill").open(1) as files:
+    with read_sequence(str(cycles), aov="key, Combined_fill").open(1) as files:
         assert set(files.parts) == {"ViewLayer.Combined_key", "ViewLayer.Combined_fill"}
         assert files.parts["ViewLayer.Combined_key"].part.group == "light groups"
     with pytest.raises(MissingPlaneError, match=r"in.0001.exr: no layer 'rim' for --aov: it holds ViewLayer.Combined"):
-        Sequence(str(cycles), aov="rim").open(1)
+        read_sequence(str(cycles), aov="rim").open(1)
 
 
 def test_distances_are_written_as_floats_and_an_unknown_layer_is_named_with_its_option(tmp_path: Path) -> None:
@@ -165,16 +165,16 @@ def test_distances_are_written_as_floats_and_an_unknown_layer_is_named_with_its_
     found = read(output)["far.V"]
     assert (found[:, :6] == np.float32(1e10)).all() and np.abs(found[:, 10:] - 1000.3).max() < 1e-2
     with pytest.raises(MissingPlaneError, match=r"no layer 'near' for --aov-denoise depth=near: it holds"):
-        Sequence(str(path), aov_denoise="depth=near").open(1)
+        read_sequence(str(path), aov_denoise="depth=near").open(1)
 
 
 def test_plain_layers_are_light_by_name(tmp_path: Path) -> None:
     frame = noisy(1, *SIZE)
     path = write(tmp_path / "a.exr", {"": frame[Role.COLOUR], "key": 0.5 * frame[Role.COLOUR]})
-    read_frame = Sequence(str(path), aov="key").read(1)
+    read_frame = read_sequence(str(path), aov="key").read(1)
     np.testing.assert_array_equal(read_frame.parts["key"], 0.5 * frame[Role.COLOUR])
     with pytest.raises(MissingPlaneError, match="--aov auto: profile generic knows none of its layers"):
-        Sequence(str(path), aov="auto").open(1)
+        read_sequence(str(path), aov="auto").open(1)
 
 
 @pytest.mark.parametrize(("text", "message"), [
@@ -192,7 +192,7 @@ def test_ids_are_no_light_either(tmp_path: Path) -> None:
     path = write(tmp_path / "a.exr", {"": colour, "Cryptos.uCryptoAsset00": colour, "Crypto_00": colour})
     for aov, planes in (("00", None), (None, "mist=00")):
         with pytest.raises(OptionError, match="'Crypto_00' holds ids"):
-            Sequence(str(path), aov=aov, aov_denoise=planes).open(1)
+            read_sequence(str(path), aov=aov, aov_denoise=planes).open(1)
 
 
 def test_pictures_for_a_display_have_no_parts(cycles: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

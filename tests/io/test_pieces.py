@@ -11,13 +11,12 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.frame import ROLES, Frame, Role
-from postfx.io import encode as encoders
+from postfx.io import encoder, writer
 from postfx.io import frame_reader as planes_of_files
-from postfx.io import writer
 from postfx.io.convert import Camera, convert
 from postfx.io.exr import container
 from postfx.io.profile import load_profile
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from postfx.system import Scratch
 
 SIZE = (150, 70)
@@ -32,7 +31,7 @@ def planes(height: int, width: int) -> dict[str, np.ndarray]:
 def both(path: Path) -> tuple[Frame, Frame, Scratch]:
     """A file read at once, and in pieces of few rows."""
     scratch = Scratch("1M")
-    return Sequence(path).read(1), Sequence(path, scratch=scratch).read(1), scratch
+    return Sequence(path).read(1), read_sequence(path, scratch=scratch).read(1), scratch
 
 
 def assert_same(one: Frame, other: Frame) -> None:
@@ -74,7 +73,8 @@ def test_tall_pictures_are_read_as_at_once(
     values = np.random.default_rng(0).random((600, 24, 3), np.float32)
     assert output.open(str(tmp_path / name), spec) and output.write_image(values) and output.close()
     in_pieces = Sequence(tmp_path / name).read(1)[Role.COLOUR]
-    monkeypatch.setattr(planes_of_files, "_ROWS", (1024, 1024))
+    monkeypatch.setattr(planes_of_files, "FEWEST_ROWS", 1024)
+    monkeypatch.setattr(planes_of_files, "MOST_ROWS", 1024)
     np.testing.assert_array_equal(in_pieces, Sequence(tmp_path / name).read(1)[Role.COLOUR])
     assert in_pieces.shape == (600, 24, 3) and in_pieces.std() > 0.2
 
@@ -101,7 +101,7 @@ def test_files_written_in_pieces_are_the_same_bytes(
     frame = Frame(planes)
     whole = writer.write_frame(tmp_path / "whole" / name, frame)
     calls = []
-    monkeypatch.setattr(encoders, "_PIECE", 1)
+    monkeypatch.setattr(encoder, "PIECE_BYTES", 1)
     monkeypatch.setattr(container, "rows_of_task", lambda threads: 16)
     pieces = writer.write_frame(tmp_path / "pieces" / name, frame, relax=lambda: calls.append(1))
     one, other = (oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT) for path in (whole, pieces))

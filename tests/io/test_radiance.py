@@ -35,8 +35,8 @@ def test_every_orientation(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame[Role.COLOUR][..., 2], np.float32(0.125))
         assert "Orientation" not in frame.metadata
         with read_sequence(path).open(1) as files:
-            (part,) = files.match(Role.COLOUR).channels[0].file.parts
-            rows = files.match(Role.COLOUR).channels[0].file.read(part, {"R": 0.0}, (1, 2))
+            (part,) = files.files[""].parts
+            rows = files.files[""].read(part, {"R": 0.0}, (1, 2))
         np.testing.assert_array_equal(rows["R"], UPRIGHT[1:] / 128)
 
 

@@ -16,9 +16,9 @@ import pytest
 
 from postfx.frame import DEPTH_MISS, Role
 from postfx.io import layout as layout_module
-from postfx.io.convert import parse_depth
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.profile import SOURCES, load_profile, profile_names
+from postfx.io.read_options import ReadOptions
 from postfx.io.sequence import read_sequence
 
 HEIGHT, WIDTH, FOV = 4, 6, 60.0
@@ -342,7 +342,7 @@ def open_layout(write_exr, write_parts, tmp_path):
         return {"": write_exr("a.exr", groups, **layout.header)}
 
     def open_files(layout: Layout, profile: str | None = None) -> FrameFiles:
-        return FrameFiles(write(layout), profile, depth=parse_depth(layout.depth) if layout.depth else None)
+        return FrameFiles(write(layout), ReadOptions(profile=profile, depth=layout.depth))
 
     return open_files
 
@@ -458,7 +458,7 @@ def test_the_colour_is_no_part_that_a_renderer_names_otherwise(write_parts):
 def test_no_profile_takes_a_picture_for_something_else(write_exr):
     path = write_exr("a.exr", picture())
     for name in profile_names():
-        with FrameFiles({"": path}, name) as files:
+        with FrameFiles({"": path}, ReadOptions(profile=name)) as files:
             assert set(files.layout.planes) - PICTURE == set(), name
 
 
@@ -476,7 +476,7 @@ def test_the_skys_light_in_the_albedo_is_cut_off(write_exr):
     stored = {name: plane.copy() for name, plane in BLENDER_52.items()}
     stored["ViewLayer.Denoising Albedo.R"][0, 0] = 25
     path = write_exr("a.exr", {name: plane.astype(np.float32) for name, plane in stored.items()})
-    with FrameFiles({"": path}, depth=parse_depth(f"ray,fov={FOV}")) as files:
+    with FrameFiles({"": path}, ReadOptions(depth=f"ray,fov={FOV}")) as files:
         frame = files.read(1)
     assert frame[Role.DIFFUSE_ALBEDO][0, 0, 0] == 1 and frame[Role.DEPTH][0, 0, 0] == DEPTH_MISS
 

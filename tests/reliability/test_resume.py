@@ -18,7 +18,7 @@ PLACES = {
     "before the first frame": ("postfx.cli.job.Job._process_all", 1, "before"),
     "while a frame is processed": ("postfx.pipeline.Flow._run", 4, "before"),
     "before a frame is written": ("postfx.cli.job.write_frame", 4, "before"),
-    "between writing a frame and naming it": ("postfx.io.writer.encode", 4, "after"),
+    "between writing a frame and naming it": ("postfx.io.writer.write_exr", 4, "after"),
     "between naming a frame and entering it into the manifest": ("postfx.cli.job.write_frame", 4, "after"),
     "while the manifest is written": ("postfx.runs.manifest.write_atomically", 2, "before"),
     "after the manifest was written": ("postfx.runs.folder.update_manifest", 2, "after"),
@@ -203,7 +203,7 @@ def test_damaged_manifest_is_put_aside(runs, unbroken):
 
 
 def test_leftovers_of_a_killed_writer_are_removed(runs):
-    runs.killed("postfx.io.writer.encode", 3, "after")
+    runs.killed("postfx.io.writer.write_exr", 3, "after")
     assert [path.name for path in runs.folder.glob(".out.*")] != []
     foreign = runs.folder / ".other.0001.77.exr"
     foreign.write_text("of someone else")

@@ -185,7 +185,7 @@ def test_slow_disk(runs, unbroken):
 
 
 def test_full_disk_while_a_frame_is_written(runs, unbroken):
-    code, said = runs.fail({"at": "postfx.io.writer.encode", "do": "full", "calls": [4]})
+    code, said = runs.fail({"at": "postfx.io.writer.write_exr", "do": "full", "calls": [4]})
     assert code == 2 and "out.0004.exr: cannot be written: No space left on device" in said and "Traceback" not in said
     assert list(runs.files()) == list(unbroken)[:3] and not list(runs.folder.glob(".out*"))
     assert runs("--skip-existing")[0] == 0 and runs.files() == unbroken

@@ -10,7 +10,7 @@ from tests.reliability.conftest import Runs, write_frame
 
 PASSES = ("--model", "s", "--scale", "1.5", "--tonemap", "--threads", "1")
 READ, WRITE, NETWORK = "postfx.io.sequence.Sequence.read", "postfx.cli.job.write_frame", "postfx.pipeline.Flow._run"
-PLACES = (WRITE, NETWORK, "postfx.io.writer.encode")
+PLACES = (WRITE, NETWORK, "postfx.io.writer.write_exr")
 RARE = ("postfx.runs.folder.save_checkpoint", "postfx.runs.manifest.write_atomically")
 """Called once a second or so."""
 

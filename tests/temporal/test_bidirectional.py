@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import Frame, Role
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from postfx.passes.composite import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
@@ -91,7 +91,7 @@ def test_a_frame_does_not_depend_on_which_are_asked_for(noisy, device, monkeypat
 
 
 def test_frames_after_those_that_are_asked_for_count_too(noisy, device):
-    whole, part = noisy(8), Sequence(noisy(8).pattern.path(1).parent / "shot.####.exr", "3-4")
+    whole, part = noisy(8), read_sequence(noisy(8).pattern.path(1).parent / "shot.####.exr", "3-4")
     wanted, found = (Backwards(sequence, device, 0.0, model="s")(sequence.read(4)) for sequence in (whole, part))
     np.testing.assert_array_equal(found.guides[Role.LATER][..., :3] != 0, wanted.guides[Role.LATER][..., :3] != 0)
     assert np.allclose(found.guides[Role.LATER][..., 3], 5 / 7, atol=1e-6)  # 5 frames, and 2 that were asked for

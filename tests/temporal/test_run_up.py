@@ -10,7 +10,7 @@ import pytest
 
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
@@ -35,7 +35,7 @@ def noisy(write_exr: Callable[..., Path], tmp_path: Path) -> Callable[..., Seque
                 planes |= {"motion.X": np.full(SIZE, motion), "motion.Y": np.zeros(SIZE)}
             if number != without:
                 write_exr(f"in/shot.{number:04d}.exr", planes, **({"postfx__reset": 1} if number == cut else {}))
-        return Sequence(tmp_path / "in/shot.####.exr", **options)
+        return read_sequence(tmp_path / "in/shot.####.exr", **options)
 
     return write
 

@@ -35,7 +35,7 @@ from postfx.bench.baselines import Accumulator, HostKernels, Oidn
 from postfx.bench.metrics import SequenceScore
 from postfx.errors import PostfxError
 from postfx.frame import Role
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from postfx.oidn import WAYS
 from postfx.runtime import Device
 
@@ -148,7 +148,7 @@ def run_postfx(shot: Shot, judge: Judge, options: list[str]) -> Scores:
         if done.returncode:
             last = (done.stderr.strip() or "no message").splitlines()[-1]
             raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}: {last}")
-        results = Sequence(output, planes=[Role.COLOUR])
+        results = read_sequence(output, planes=[Role.COLOUR])
         return judge.score([results.read(frame.number)[Role.COLOUR] for frame in judge.frames])
     finally:
         shutil.rmtree(folder)

@@ -140,14 +140,18 @@ class Header:
         return struct.unpack(layout, value)
 
 
+_AS_TEXT = ("utf-8", "surrogateescape")
+"""Encoding of names, and what becomes of other bytes."""
+
+
 def text(stored: bytes) -> str:
     """Stored bytes as text from which `raw` makes the same bytes."""
-    return stored.decode("utf-8", "surrogateescape")
+    return str(stored, *_AS_TEXT)
 
 
 def raw(name: str) -> bytes:
     """Inverse of `text`."""
-    return name.encode("utf-8", "surrogateescape")
+    return name.encode(*_AS_TEXT)
 
 
 def pack_channels(channels: list[ChannelInfo]) -> bytes:
@@ -192,12 +196,9 @@ def _correct_type(header: Header, version: int) -> None:
 def _header(start: _Start, may_end: bool) -> Header | None:
     """The next header; None for the empty one that ends the headers of a multi-part file."""
     attributes: dict[str, Attribute] = {}
-    while name := start.name():
-        kind = start.name()
-        (size,) = start.unpack("<i")
-        if size < 0 or start.at + size > MAX_HEADERS:
-            raise ReadError(f"its header claims {size} bytes for {ascii(text(name))}")
-        attributes[text(name)] = Attribute(text(kind), start.take(size))
+    while stored := start.attribute():
+        name, kind, value = stored
+        attributes[str(name, *_AS_TEXT)] = Attribute(str(kind, *_AS_TEXT), value)
     if not attributes and may_end:
         return None
     return Header(attributes)
@@ -233,6 +234,29 @@ class _Start:
             raise ReadError("its header ends early" if len(self._held) < most else "a name in its header is too long")
         begin, self.at = self.at, end + 1
         return self._held[begin:end]
+
+    def attribute(self) -> tuple[bytes, bytes, bytes] | None:
+        """Name, type and value of the next attribute; None for the zero that ends a header.
+
+        Where all of it is held, which is nearly always so, it is taken at once.
+        """
+        held, begin = self._held, self.at
+        name_end = held.find(b"\0", begin, begin + MAX_NAME + 1)
+        kind_end = held.find(b"\0", name_end + 1, name_end + MAX_NAME + 2)
+        if begin < name_end < kind_end and kind_end + 5 <= len(held):
+            value_begin = kind_end + 5
+            (size,) = struct.unpack_from("<i", held, kind_end + 1)
+            if 0 <= size and value_begin + size <= min(len(held), MAX_HEADERS):
+                self.at = value_begin + size
+                return held[begin:name_end], held[name_end + 1 : kind_end], held[value_begin : self.at]
+        name = self.name()
+        if not name:
+            return None
+        kind = self.name()
+        (size,) = self.unpack("<i")
+        if size < 0 or self.at + size > MAX_HEADERS:
+            raise ReadError(f"its header claims {size} bytes for {ascii(text(name))}")
+        return name, kind, self.take(size)
 
     def _hold(self, end: int) -> None:
         self._held += self._file.read(max(end - len(self._held), len(self._held), _BLOCK))  # twice as much each time

@@ -33,9 +33,9 @@ from postfx.io.exr import ChannelInfo, Header, text
 from postfx.io.exr.container import FLOAT, HALF, ExrContainer, NewPart, picture_part, write_container
 from postfx.io.exr.passthrough import resize_header
 from postfx.io.frame_reader import FrameFiles
-from postfx.io.layout import Header as Facts
+from postfx.io.read_options import ReadOptions
 from postfx.io.render_time import AVERAGED, SUMMED, format_time, parse_time
-from postfx.io.windows import PICTURE, Part, Window
+from postfx.io.windows import Part, Window
 from postfx.masks.noise import count_unit
 
 
@@ -122,7 +122,7 @@ class Render:
         if path.suffix.lower() != ".exr":
             raise ReadError(f"{path}: only OpenEXR files are merged: write the render as EXR")
         try:
-            self._files = self._stack.enter_context(FrameFiles({"": path}, profile))
+            self._files = self._stack.enter_context(FrameFiles({"": path}, ReadOptions(profile=profile)))
             self.container = self._stack.enter_context(ExrContainer(path))
             self._read_facts(samples)
         except BaseException:
@@ -137,11 +137,11 @@ class Render:
 
     def _read_facts(self, samples: int | None) -> None:
         colour, layout = self._files.match(Role.COLOUR), self._files.layout
-        self.file, self.attributes, self.layout = colour.channels[0].file, layout.attributes, layout
+        self.file, self.attributes, self.layout = self._files.files[""], layout.attributes, layout
         self.colour = colour.channels
-        if any(PICTURE in part.attributes for part in self.file.parts):
+        if any(part.is_picture for part in self.file.parts):
             raise ReadError(f"{self.path}: is a picture that postfx made: merge the renders, then process the result")
-        self.samples = samples or int(Facts(layout).number("samples") or 0)
+        self.samples = samples or int(layout.facts.number("samples") or 0)
         self._counts: tuple[Window, np.ndarray] | None = None
         if Role.SAMPLE_COUNT in layout.planes:
             (channel,) = self._files.match(Role.SAMPLE_COUNT).channels
@@ -166,7 +166,7 @@ class Render:
     def read_colour(self) -> np.ndarray:
         """Red, green and blue of its data window (height, width, 3), float32."""
         data, area = self.colour[0].part.data, self.colour[0].part.area
-        pixels = read_channels(dict.fromkeys(self.colour, 0.0))
+        pixels = read_channels(self._files.files, dict.fromkeys(self.colour, 0.0))
         whole = np.stack([pixels[channel] for channel in self.colour], axis=-1)
         y, x = data.y0 - area.y0, data.x0 - area.x0
         return whole[y : y + data.height, x : x + data.width]

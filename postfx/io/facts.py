@@ -1,0 +1,104 @@
+"""What the headers of a frame's files say, by the names that a profile gives to header
+attributes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from postfx.frame import pixel_aspect
+from postfx.io.colours import INTEROP, gather_attributes, is_given
+from postfx.io.convert import Camera
+from postfx.io.image_file import ImageFile
+from postfx.io.profile import Profile
+from postfx.io.windows import Part
+
+WORLD_TO_CAMERA_NUMBERS = 16
+"""Of a matrix 4x4."""
+
+
+def merge_headers(files: Iterable[ImageFile]) -> dict[str, Any]:
+    """Header attributes of all parts. If several have one, the smallest part's counts, and of those
+    the first's.
+
+    A larger part's jitter belongs to guides. Beside a picture that postfx wrote, other parts do not
+    count.
+    """
+    parts = [(part, file.headers[part.index]) for file in files for part in file.parts]
+    parts = [(part, header) for part, header in parts if part.is_picture] or parts
+    if len(parts) > 1:
+        parts.sort(key=_size_of_display)
+    merged: dict[str, Any] = {}
+    for _, header in parts:
+        merged = {**header, **merged}
+    return merged
+
+
+def _size_of_display(entry: tuple[Part, Mapping[str, Any]]) -> int:
+    display = entry[0].display
+    return display.width * display.height
+
+
+def tell_colours(merged: Mapping[str, Any], file: ImageFile, part: int) -> dict[str, Any]:
+    """Merged attributes in which those about colours are of the colour's own part of its file."""
+    found = gather_attributes(file.headers[part], file.headers.values())
+    kept = {
+        name: value for name, value in merged.items() if name != INTEROP and is_given(name, value)
+    }
+    return kept | found
+
+
+class Facts:
+    """Header attributes by the names that a profile gives them; `layer` stands for {layer} in
+    these."""
+
+    def __init__(self, profile: Profile, layer: str, attributes: Mapping[str, Any]) -> None:
+        self._profile, self._layer, self._attributes = profile, layer, attributes
+
+    def value(self, key: str) -> Any:
+        """The first attribute of this meaning; None where there is none."""
+        for name in self._profile.header.get(key, ()):
+            name = name.replace("{layer}", self._layer)
+            if name in self._attributes:
+                return self._attributes[name]
+        return None
+
+    def numbers(self, key: str, count: int) -> np.ndarray | None:
+        """Attribute of `count` numbers as float64; None when it is absent or something else."""
+        value = self.value(key)
+        if value is None:
+            return None
+        try:
+            numbers = np.asarray(value, np.float64).ravel()
+        except (TypeError, ValueError):
+            return None
+        return numbers if numbers.size == count and np.isfinite(numbers).all() else None
+
+    def number(self, key: str, default: float | None = None) -> float | None:
+        """Attribute of one number, or the default."""
+        numbers = self.numbers(key, 1)
+        return default if numbers is None else float(numbers[0])
+
+    def jitter(self) -> tuple[float, float]:
+        """Sample position minus 0.5 in pixels, x right, y down."""
+        found = self.numbers("jitter", 2)
+        return (0.0, 0.0) if found is None else (float(found[0]), float(found[1]))
+
+    def camera(self) -> Camera:
+        """The camera, with the profile's numbers where the header says none."""
+        profile, matrix = self._profile, self.numbers("world_to_camera", WORLD_TO_CAMERA_NUMBERS)
+        if matrix is not None:
+            matrix = matrix.reshape(4, 4)
+            matrix = matrix.T if profile.column_vectors else matrix
+        return Camera(
+            world_to_camera=matrix,
+            fov_x=self.number("fov_x") or profile.fov_x,
+            jitter=self.jitter(),
+            near=self.number("near", profile.near),
+            far=self.number("far", profile.far),
+            max_velocity=self.number("max_velocity", profile.max_velocity),
+            shutter=self.number("shutter", profile.shutter),
+            pixel_aspect=pixel_aspect(self._attributes),
+        )

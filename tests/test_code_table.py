@@ -1,0 +1,22 @@
+"""The table of what the code is like counts what it says."""
+
+from pathlib import Path
+
+from tests.code_table import make_table, read_sources
+
+NEAR = 'NEAR = 1\nSTEP, MOST = 2, 3\n\n\ndef f(a, b, c, d, e, f, g, *rest, h=1):\n    SMALL = 4\n    return SMALL\n'
+WIDE = 'NEAR: int = 1\n\n\nclass A:\n    def f(self, a, b, c, d, e, f, g, h):\n        return "' + 88 * "x" + '"\n'
+
+
+def test_the_table_counts_what_it_says(tmp_path: Path) -> None:
+    (tmp_path / "near.py").write_text(NEAR)
+    (tmp_path / "wide.py").write_text(WIDE)
+    table = make_table(read_sources(tmp_path))
+    assert {name: value.split()[0] for name, value in table.items()} == {
+        "modules": "2",
+        "lines": "13",
+        "lines over 100 columns": "1",
+        "functions with more than 8 parameters": "1",
+        "constants named in several modules": "1",
+        "lines with several constants": "1",
+    }
