@@ -43,7 +43,7 @@ def widen_rows(words: np.ndarray, channels: np.ndarray, pixels: np.ndarray) -> N
     _widen_rows(0, len(pixels), words, channels, pixels.view(np.float32))
 
 
-def dither_rows(codes: np.ndarray, top: float, thresholds: np.ndarray, output: np.ndarray) -> None:
+def dither_rows(codes: np.ndarray, top: float | np.floating, thresholds: np.ndarray, output: np.ndarray) -> None:
     """output (height, values) uint8 = the whole part of top * codes, cut to 0..1, plus a threshold.
 
     codes: (height, values) float32, NaN counts as 0; thresholds (rows, columns) float32 in (0, 1), repeated.
