@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from postfx.cli.report import RunReport
     from postfx.doctor.first_frames import FirstFrames
     from postfx.doctor.inspection import Inspection
+    from postfx.report.live import LiveViewer
     from postfx.report.page import FrameCapture
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
@@ -148,6 +149,7 @@ class Job:
         self._faults = Faults(policy, standin)
         self._warnings: list[str] = []
         self._capture = self._make_capture(device) if arguments.capture else None
+        self._viewer = self._find_viewer()
         self._page = self._make_page() if arguments.report else None
         self._seconds, self._preparation = 0.0, Preparation()
         self._exposure = ExposureUsed(str(arguments.exposure), self._is_exposed)
@@ -175,6 +177,13 @@ class Job:
         from postfx.report.page import FrameCapture  # loads pages, which other runs need not wait for
 
         return FrameCapture(device, check=not self._arguments.explain, **self._values("capture"))
+
+    def _find_viewer(self) -> LiveViewer | None:
+        if self._arguments.live is None or self._arguments.explain:
+            return None
+        from postfx.report.live import LiveViewer  # loads sockets, which other runs need not wait for
+
+        return LiveViewer(self._arguments.live)
 
     def _make_page(self) -> RunReport:
         from postfx.cli.report import RunReport  # loads the doctor and charts, which other runs need not wait for
@@ -230,6 +239,9 @@ class Job:
                 begin = progress.start(len(run.skips))
                 self._process_all(run, stop, progress)
         finally:
+            if self._viewer:
+                self._viewer.close()
+                self._tell(filter(None, [self._viewer.notice()]), progress.note)
             later = self._watch.seconds - self._preparation.compile_seconds
             self._seconds = time.perf_counter() - begin - later if begin else 0.0
             self._preparation = Preparation(self._preparation.seconds + later, self._watch.seconds, self._watch.count)
@@ -245,6 +257,9 @@ class Job:
         self._tell_noticed(number, tell)
         for path, picture in self._files().split(result):
             write_frame(path, picture, relax=self._relax, **self._format)
+            if self._viewer:
+                self._viewer.show(str(path), picture)
+                self._tell(filter(None, [self._viewer.notice()]), tell)
         return self._files().path(number)
 
     def report(self, failure: BaseException | None = None) -> Report:
@@ -473,6 +488,9 @@ class Job:
             if self._faults.attempt(number, True, write) is None:
                 return
             run.note_output(number, path, picture, **facts)
+            if self._viewer:
+                self._viewer.show(str(path), picture)
+                self._tell(filter(None, [self._viewer.notice()]), progress.note)
             facts = {}  # those of a frame are told once
             paths.append(str(path))
         if used is not None:

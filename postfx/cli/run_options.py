@@ -483,6 +483,9 @@ REPORTS = Section("reports", (
     Option(flag="--verbose", short="-v", either="words", changes="nothing",
            help="also print what is going to run, and the time of each pass in each frame"),
     Option(flag="--json", once=True, changes="nothing", help="print one JSON object on standard output at the end"),
+    Option(flag="--live", once=True, metavar="tev[:HOST[:PORT]]", changes="nothing",
+           help="send each frame to the viewer tev while the run goes on, on this machine or another one; a viewer "
+           "that is missing or closed stops nothing"),
     Option(flag="--report", once=True, metavar="HTML", type=parse_path, sets="page.path", changes="nothing",
            excludes={"--memory": "--report keeps whole frames in memory: leave --memory out"},
            help="write an HTML page that needs no network: before and after with an exposure slider, curves over the "
