@@ -63,6 +63,7 @@ from postfx.runs.run import Options, Run, provenance_of
 from postfx.runs.schedule import Work
 from postfx.runtime import Device
 from postfx.temporal.reverse_order import Backwards
+from postfx.wrap import AROUND, AUTO, NONE, is_panorama
 
 if TYPE_CHECKING:
     from postfx.cli.report import RunReport
@@ -114,14 +115,16 @@ class Job:
                                                 "shows more of the textures"))
         both_ways = arguments.both_ways and arguments.strength != 0 and not covered
         backwards = {**self._values("denoiser"), "error": False}  # which that of the last run tells
+        wrap = self._find_wrap()
         self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
-                                    **backwards) if both_ways else None
+                                    wrap=wrap, **backwards) if both_ways else None
         self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         self._parts = self._find_parts()
         self._partner = None if covered or arguments.strength == 0 else find_partner(getattr(arguments, "with"))
         passes, skips = self._passes(denoising, self._backwards is not None, self._partner)
         self.skips += skips
-        self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False)  # it has its own
+        self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False,  # it has its own
+                                 wrap=wrap)
         refuse_views(self.sequence, self.outputs)
         if self.outputs and not arguments.explain:  # after all options, whose mistakes matter more
             self.outputs.check(self.sequence.numbers)
@@ -172,6 +175,13 @@ class Job:
                 return False
             albedo = files.read(self.first, [Role.DIFFUSE_ALBEDO], []).planes.get(Role.DIFFUSE_ALBEDO)
         return albedo is not None and bool(albedo[0, 0].any() and (albedo == albedo[0, 0]).all())
+
+    def _find_wrap(self) -> str:
+        """Whether frames are panoramas, by the option or the first frame's header, as the pipeline names it."""
+        if self._arguments.wrap != AUTO:
+            return str(self._arguments.wrap)
+        with self.sequence.open(self.first) as files:
+            return AROUND if is_panorama(files.layout.attributes) else NONE
 
     def _make_capture(self, device: Device) -> FrameCapture:
         from postfx.report.page import FrameCapture  # loads pages, which other runs need not wait for

@@ -272,6 +272,9 @@ DENOISING = Section("denoising and size", (
     Option(flag="--budget", metavar="MS", type=float, sets="denoiser.budget", excludes=_FOR_DENOISER,
            help="longest time to denoise a frame, in milliseconds: a smaller network runs where --model would take "
            "longer"),
+    Option(flag="--wrap", choices=("auto", "x", "none"), default="auto", off="auto",
+           help="panoramas, whose right edge goes on at the left one: x, so that there is no seam; none, for other "
+           "pictures; auto, as the header says (default)"),
     Option(flag="--strength", metavar="S", type=float, sets="denoiser.strength", excludes=_FOR_DENOISER,
            help="how strongly to denoise, from 0 (only resample) to 1 (default), times the AOV 'strength' if there is "
            "one"),

@@ -150,6 +150,7 @@ class Backwards:
         device: where to run; default: the default device of pipelines.
         exposure, cuts: as for a `Pipeline`.
         prepare: applied to frames after reading, as for the frames in order.
+        wrap: as for a `Pipeline`.
         options: of `DenoiseUpscale`, the same as for the frames in order.
 
     The sequence runs in parts of PART frames, each from its last frame to its first, after a run-up over the frames
@@ -162,15 +163,15 @@ class Backwards:
 
     def __init__(self, sequence: Sequence, device: Device | None = None,
                  exposure: str | float | ExposureMeter | SmoothExposure = "auto", cuts: str = "auto",
-                 prepare: Callable[[Frame], Frame] = lambda frame: frame, **options: Any) -> None:
+                 prepare: Callable[[Frame], Frame] = lambda frame: frame, wrap: str = "auto", **options: Any) -> None:
         self._of_view: Callable[[str], Backwards] = lambda view: Backwards(
-            sequence.reader(view), device, exposure, cuts, prepare, **options)
+            sequence.reader(view), device, exposure, cuts, prepare, wrap, **options)
         self._views: dict[str, Backwards] = {}
         after = sequence.after(sequence.numbers[-1], RUN_UP) if sequence.numbers else ()
         self._given, self._numbers, self._asked = sequence, (*sequence.numbers, *after), len(sequence)
         self._at = {number: index for index, number in enumerate(sequence.numbers)}
         self._pass = DenoiseUpscale(**options)
-        self._pipeline = Pipeline([self._pass], device, exposure, cuts, checks=False)
+        self._pipeline = Pipeline([self._pass], device, exposure, cuts, checks=False, wrap=wrap)
         self._prepare = prepare
         self._ahead, self._last = HistoryLength(find_cuts=cuts == "auto"), -1
         self._plan: Plan | None = None
