@@ -7,6 +7,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from math import log2
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -76,7 +77,8 @@ class Pipeline:
         plan: the plan of the last frame, None before the first.
         timings: pass name -> milliseconds on the device, of the last frame.
         ahead: milliseconds on the device of each frame that was run up to the last one.
-        exposure: multiplier used for the last frame; None before the first and when no pass ran.
+        exposure: stops used for the last frame; None before the first and when no pass ran.
+        exposure_factor: likewise, what its light was multiplied by.
         cut: whether the last frame was found to begin another shot.
         bad_pixels: plane -> how many of its pixels in the last frame were not finite, see
             `postfx.repair.repair_nonfinite`.
@@ -102,7 +104,7 @@ class Pipeline:
         self.device = device if device is not None else default_device()
         self.plan: Plan | None = None
         self.timings: dict[str, float] = {}
-        self.exposure: float | None = None
+        self.exposure_factor: float | None = None
         self.cut = False
         self.bad_pixels: dict[Role, int] = {}
         self.noticed: tuple[str, ...] = ()
@@ -120,6 +122,10 @@ class Pipeline:
         self._cuts = cuts
         self._views: dict[str, Pipeline] = {}
         self._lent: tuple[dict[Role, Tensor], dict[Role, Tensor]] = {}, {}  # the last frame's, in the device's memory
+
+    @property
+    def exposure(self) -> float | None:
+        return None if self.exposure_factor is None else log2(self.exposure_factor)
 
     def __repr__(self) -> str:
         """The passes as one would write them, and where they run."""
@@ -155,7 +161,7 @@ class Pipeline:
     def _process(self, frame: Frame) -> Frame:
         plan, self.ahead = self._make_plan(frame.spec, self._goes_around(frame)), ()
         if not plan.steps:
-            self.timings, self.exposure, self.cut, self.bad_pixels, self.noticed = {}, None, False, {}, ()
+            self.timings, self.exposure_factor, self.cut, self.bad_pixels, self.noticed = {}, None, False, {}, ()
             return frame
         frame, self.bad_pixels = repair_nonfinite(frame, plan.planes, self.device.scratch)
         self.cut = self._is_cut(frame)
@@ -164,7 +170,7 @@ class Pipeline:
             LOG.info("frame %d begins another shot: the history is dropped", frame.number)
         if frame.reset:
             self._reset_passes()
-        self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
+        self.exposure_factor = self._meter(frame) if Role.COLOUR in frame else 1.0
         self._look(frame, plan)
         run = self._run_up_to(frame, plan)
         result = self._run(run, plan, is_unusable(frame, self.bad_pixels), frame)
@@ -182,12 +188,13 @@ class Pipeline:
 
     def _run(self, frame: Frame, plan: Plan, unusable: bool, given: Frame) -> Frame:
         """The frame that comes out, of the one that is run; of a panorama, with what lies beyond its edges."""
-        assert self.exposure is not None
+        assert self.exposure_factor is not None
         if self._wide is None:
-            return self._flow.run(frame, plan, self.exposure, unusable, given)
+            return self._flow.run(frame, plan, self.exposure_factor, unusable, given)
         wide, margin = self._wide
-        whole = widen(frame, margin)
-        found = self._flow.run(whole, wide, self.exposure, unusable, whole if frame is given else widen(given, margin))
+        run = widen(frame, margin)
+        whole = run if frame is given else widen(given, margin)
+        found = self._flow.run(run, wide, self.exposure_factor, unusable, whole)
         return crop(found, given, plan)
 
     def _goes_around(self, frame: Frame) -> bool:
@@ -267,10 +274,10 @@ class Pipeline:
             plan, self.ahead, self.cut, self.bad_pixels = self._make_plan(spec), (), reset, {}
             if reset:
                 self._reset_passes()
-            self.exposure = self._exposure_of(exposure, tensors, number, reset)
+            self.exposure_factor = self._exposure_of(exposure, tensors, number, reset)
             used, seen = {role: tensors[role] for role in plan.planes}, {role: sharp[role] for role in plan.guides}
             resident = ResidentFrame(
-                plan.input, dict(used), number, jitter, self.exposure, reset, samples=samples, fov_x=fov_x,
+                plan.input, dict(used), number, jitter, self.exposure_factor, reset, samples=samples, fov_x=fov_x,
                 world_to_camera=world_to_camera, guides=seen, guide_jitter=guide_jitter, is_away=True,
                 host_planes=Downloads(used), host_guides=Downloads(seen))
             result = self._flow.run_away(resident, plan)
@@ -400,7 +407,7 @@ class Pipeline:
         if frame.reset:
             self._reset_passes()
         frame = widen(frame, self._wide[1]) if self._wide else frame
-        self._flow.run_ahead(frame, plan, steps, self.exposure or 1.0, is_unusable(frame, bad_pixels))
+        self._flow.run_ahead(frame, plan, steps, self.exposure_factor or 1.0, is_unusable(frame, bad_pixels))
         self.ahead += (sum(self._flow.timings.values()),)
 
     def _reset_passes(self) -> None:
@@ -425,7 +432,7 @@ class _SharedExposure(ExposureMeter):
         self._first = first
 
     def __call__(self, frame: Frame) -> float:
-        return self._first.exposure or 1.0
+        return self._first.exposure_factor or 1.0
 
 
 def _make_pipeline(
@@ -457,9 +464,9 @@ class Flow:
         for kept in (self._copies, self._inputs, self._recordings, self._results):
             kept.clear()
 
-    def run(self, frame: Frame, plan: Plan, exposure: float, unusable: bool, given: Frame) -> Frame:
+    def run(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool, given: Frame) -> Frame:
         """The frame that comes out. Planes that no pass touches, and all that is not a plane, come from `given`."""
-        resident = self._upload(frame, plan, exposure, unusable)
+        resident = self._upload(frame, plan, exposure_factor, unusable)
         inputs = dict(resident.tensors)
         with self._device.results_lock:  # the next commit may take the memory of the results
             self._run(plan.steps, resident)
@@ -483,18 +490,19 @@ class Flow:
             memory.synchronise()
         return found
 
-    def run_ahead(self, frame: Frame, plan: Plan, steps: Sequence[Step], exposure: float, unusable: bool) -> None:
+    def run_ahead(self, frame: Frame, plan: Plan, steps: Sequence[Step], exposure_factor: float,
+                  unusable: bool) -> None:
         """Take a frame through the first steps of a plan, for nothing but their history."""
-        resident = self._upload(frame, plan, exposure, unusable)
+        resident = self._upload(frame, plan, exposure_factor, unusable)
         resident.history_only = True
         with self._device.results_lock:
             self._run(steps, resident)
 
-    def _upload(self, frame: Frame, plan: Plan, exposure: float, unusable: bool) -> ResidentFrame:
+    def _upload(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool) -> ResidentFrame:
         inputs = {role: self._input(role, frame.planes[role]) for role in plan.planes}
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
         parts = {name: self._input(f"part {name}", frame.parts[name]) for name in plan.parts}
-        return ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure, unusable)
+        return ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure_factor, unusable)
 
     def _input(self, name: str, array: np.ndarray) -> Tensor:
         """A plane as a tensor: on the last frame's memory, so that its commands are known again, where that is the

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.errors import PassOptionError
+from postfx.errors import FrameError, PassOptionError
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes import Pass
 from postfx.passes.denoise.tiling import GRID
@@ -51,10 +51,13 @@ def widened_plan(passes: Sequence[Pass], plan: Plan) -> tuple[Plan, int]:
     fitting = (margin for margin in range(least, least + MOST_STEPS * GRID, GRID)
                if not any(margin * size % spec.width for size in sizes))
     margin = next(fitting, None)
-    wide = None if margin is None else make_plan(passes, _widened_spec(spec, margin))
-    if wide is None or wide.output.width != output.width + 2 * margin * output.width // spec.width:
-        raise PassOptionError(f"a panorama of {spec.width} pixels cannot become {output.width} wide without a seam: give "
-                              "a scale such as 1, 1.5 or 2 in place of a size, or wrap none")
+    try:
+        wide = None if margin is None else make_plan(passes, _widened_spec(spec, margin))
+    except FrameError:  # another aspect
+        wide = None
+    if margin is None or wide is None or wide.output.width != output.width + 2 * margin * output.width // spec.width:
+        raise PassOptionError(f"a panorama of {spec.width} pixels cannot become {output.width} wide without a seam: "
+                              "give a scale such as 1, 1.5 or 2 in place of a size, or wrap none")
     return wide, margin
 
 

@@ -214,7 +214,7 @@ class Job:
             return ExposureUsed(mode, self._is_exposed)
         frame = own.read(self.first, (Role.COLOUR,), ())
         used = {self.first: ExposureMeter(mode)(frame)}
-        return ExposureUsed(mode, True, used, {self.first: frame.exposure or 1.0})
+        return ExposureUsed(mode, True, used, {self.first: frame.exposure_factor or 1.0})
 
     @property
     def _is_exposed(self) -> bool:
@@ -470,7 +470,8 @@ class Job:
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
-        done = FrameResult(frame, result, passes.exposure, passes.cut, milliseconds, passes.timings, passes.bad_pixels)
+        done = FrameResult(frame, result, passes.exposure_factor, passes.cut, milliseconds, passes.timings,
+                           passes.bad_pixels)
         if work.write:
             self._note(done, milliseconds)
         return done
@@ -489,8 +490,8 @@ class Job:
                 self._choices.setdefault(step.name, Counter())[choice] += 1
 
     def _write(self, run: Run, done: FrameResult, progress: FrameProgress) -> None:
-        number, result, used = done.source.number, done.result, done.exposure
-        told = {} if used is None else {APPLIED if self._is_exposed else USED: used}
+        number, result, used = done.source.number, done.result, done.exposure_factor
+        told = {} if used is None else {APPLIED if self._is_exposed else USED: log2(used)}
         facts, paths = done.facts(), []
         for path, picture in self._files().split(result):
             write = partial(write_frame, path, picture, relax=self._relax, provenance={**run.header(), **told},
@@ -504,7 +505,7 @@ class Job:
             facts = {}  # those of a frame are told once
             paths.append(str(path))
         if used is not None:
-            self._exposure.multipliers[number], self._exposure.lit[number] = used, done.header_exposure
+            self._exposure.multipliers[number], self._exposure.lit[number] = used, done.header_factor
         self._written, self._frames = self._written + paths, self._frames + 1
         progress.advance(" ".join(paths))
         if self._arguments.verbose:

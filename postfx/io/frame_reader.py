@@ -16,7 +16,7 @@ import OpenImageIO as oiio
 
 from postfx.errors import MissingPlaneError, ReadError
 from postfx.files import file_threads, make_printable, run_in_order
-from postfx.frame import ROLES, ColourSource, Frame, FrameSpec, Role
+from postfx.frame import ROLES, ColourSource, Frame, FrameSpec, Role, stops_of_factor
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
 from postfx.io.colours import INTEROP, gather_attributes, is_given
 from postfx.io.convert import SEEN, Camera, DepthOption, convert, fill_background_motion, fill_value
@@ -449,7 +449,7 @@ class FrameFiles:
             planes,
             number=number,
             jitter=camera.jitter,
-            exposure=header.number("exposure"),
+            exposure=_stops(header),
             reset=self.begins_shot,
             samples=int(header.number("samples") or 0) or None,
             world_to_camera=camera.world_to_camera,
@@ -505,3 +505,9 @@ class FrameFiles:
         axes |= {channel.name: axis for axis, channel in enumerate(match.channels)}
         colour = self.layout.planes[Role.COLOUR].channels[0]
         return {(first.part.index, name): axis for name, axis in axes.items()} if first.file is colour.file else {}
+
+
+def _stops(header: Header) -> float | None:
+    """The author's exposure: stops, or a factor, as versions before wrote it."""
+    stops, factor = header.number("exposure_ev"), header.number("exposure")
+    return stops if stops is not None or factor is None else stops_of_factor(factor)

@@ -69,7 +69,7 @@ class Display(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.upload(parameters(self._source, self._target, frame.exposure if self._exposed else 1.0))
+        self._params.upload(parameters(self._source, self._target, frame.exposure_factor if self._exposed else 1.0))
         self._table["colour"] = frame[Role.COLOUR]
         with commands.compute_encoder("encode") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
@@ -77,11 +77,12 @@ class Display(Pass):
         frame.set(Role.COLOUR, self._output)
 
 
-def parameters(source: Target | None, target: Target, exposure: float = 1.0) -> np.ndarray:
+def parameters(source: Target | None, target: Target, exposure_factor: float = 1.0) -> np.ndarray:
     """Parameters of the kernel `encode_display`, from code values of a display, or from light in Rec.709 (None)."""
     matrix = matrix_between(source.kind.primaries if source else REC709, target.kind.primaries)
     exponent = 1 / target.system_gamma - 1
-    values = [*(matrix * exposure / target.unit).ravel(), source is not None, target.most / target.unit, exponent]
+    matrix = matrix * exposure_factor / target.unit
+    values = [*matrix.ravel(), source is not None, target.most / target.unit, exponent]
     return np.array(values, np.float32)
 
 
@@ -166,7 +167,7 @@ class View(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.put(np.array([frame.exposure, TOE, SCALE], np.float32))
+        self._params.put(np.array([frame.exposure_factor, TOE, SCALE], np.float32))
         self._table["colour"] = frame[Role.COLOUR]
         with commands.compute_encoder("view") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")

@@ -291,7 +291,7 @@ class Reactive:
             return {}
         if self._role is Role.REACTIVE:
             return {"reactive": frame[Role.REACTIVE]}
-        self._difference.upload([frame.exposure, self._option.scale, self._option.threshold])
+        self._difference.upload([frame.exposure_factor, self._option.scale, self._option.threshold])
         self._table["colour"], self._table["opaque_colour"] = frame[Role.COLOUR], frame[Role.OPAQUE_COLOUR]
         with commands.compute_encoder("reactive") as encoder:
             encoder.barrier(after=("compute", "machine-learning"), before="compute")
@@ -332,7 +332,7 @@ class Restore:
             return denoised
         self._rows = rows
         self._judge_only(np.ones(self._tiles, bool) if cells is None else tiles_with(cells))
-        self._params.upload([frame.exposure, 0.0, 0.0, 0.0])
+        self._params.upload([frame.exposure_factor, 0.0, 0.0, 0.0])
         self._evidence.upload([min(frame.samples or MANY, MOST) / MANY])
         planes = {"colour": frame[Role.COLOUR], "denoised": denoised}
         with commands.compute_encoder("restore") as encoder:
