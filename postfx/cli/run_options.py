@@ -273,8 +273,8 @@ DENOISING = Section("denoising and size", (
            help="longest time to denoise a frame, in milliseconds: a smaller network runs where --model would take "
            "longer"),
     Option(flag="--wrap", choices=("auto", "x", "none"), default="auto", off="auto",
-           help="panoramas, whose right edge goes on at the left one: x, so that there is no seam; none, for other "
-           "pictures; auto, as the header says (default)"),
+           help="panoramas, whose left and right edge meet without a seam: x; none, for other pictures; auto, as the "
+           "header says (default)"),
     Option(flag="--strength", metavar="S", type=float, sets="denoiser.strength", excludes=_FOR_DENOISER,
            help="how strongly to denoise, from 0 (only resample) to 1 (default), times the AOV 'strength' if there is "
            "one"),
@@ -487,8 +487,7 @@ REPORTS = Section("reports", (
            help="also print what is going to run, and the time of each pass in each frame"),
     Option(flag="--json", once=True, changes="nothing", help="print one JSON object on standard output at the end"),
     Option(flag="--live", once=True, metavar="tev[:HOST[:PORT]]", changes="nothing",
-           help="send each frame to the viewer tev while the run goes on, on this machine or another one; a viewer "
-           "that is missing or closed stops nothing"),
+           help="send each frame to the viewer tev as it is made; a viewer that is missing or closed stops nothing"),
     Option(flag="--report", once=True, metavar="HTML", type=parse_path, sets="page.path", changes="nothing",
            excludes={"--memory": "--report keeps whole frames in memory: leave --memory out"},
            help="write an HTML page that needs no network: before and after with an exposure slider, curves over the "
