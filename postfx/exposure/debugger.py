@@ -168,7 +168,7 @@ def debug_graded(
         level: frame number -> level of mid grey on its graded board, such as
             `postfx.exposure.response.GradedBoards.level`.
         judged: the response that levels are compared with: `postfx.exposure.response.read_response` or `judge_view`.
-        exposure: the exposure of the run that wrote the boards, by which it divided them.
+        exposure: mode or stops of the run that wrote the boards, by which it divided them.
 
     Raises ExposureError as `debug` does, and if a frame has no board.
     """
