@@ -272,9 +272,6 @@ DENOISING = Section("denoising and size", (
     Option(flag="--budget", metavar="MS", type=float, sets="denoiser.budget", excludes=_FOR_DENOISER,
            help="longest time to denoise a frame, in milliseconds: a smaller network runs where --model would take "
            "longer"),
-    Option(flag="--wrap", choices=("auto", "x", "none"), default="auto", off="auto",
-           help="panoramas, whose left and right edge meet without a seam: x; none, for other pictures; auto, as the "
-           "header says (default)"),
     Option(flag="--strength", metavar="S", type=float, sets="denoiser.strength", excludes=_FOR_DENOISER,
            help="how strongly to denoise, from 0 (only resample) to 1 (default), times the AOV 'strength' if there is "
            "one"),
@@ -456,6 +453,9 @@ READING = Section("reading and running", (
            convert=parse_cuts,
            help="where shots begin; no frame then uses those of another shot: auto, found by headers and pictures "
            "(default); none; or frame numbers, e.g. 1,48,90"),
+    Option(flag="--wrap", choices=("auto", "x", "none"), default="auto", off="auto",
+           help="panoramas, whose left and right edge meet without a seam: x; none, for other pictures; auto, as the "
+           "header says (default)"),
     Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", sets="device.name", help="where to run"),
     Option(flag="--provider", once=True, metavar="NAME[,OPTION=VALUE...]", sets="device.provider", changes="rounding",
            help="run networks on an execution provider of ONNX Runtime, with options of its own, e.g. "
