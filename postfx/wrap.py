@@ -68,7 +68,8 @@ def widen(frame: Frame, margin: int) -> Frame:
     def around(array: np.ndarray) -> np.ndarray:
         own = array.shape[1]
         beyond = margin * own // width
-        return np.take(array, np.arange(-beyond, own + beyond) % own, axis=1)
+        found: np.ndarray = np.take(array, np.arange(-beyond, own + beyond) % own, axis=1)
+        return found
 
     planes = {role: around(plane) for role, plane in frame.planes.items()}
     if Role.MOTION in planes:
