@@ -69,7 +69,7 @@ about:
 
 extra:
   recipe-maintainers:
-    - OWNER
+    - {publisher}
 """
 
 
@@ -80,8 +80,10 @@ def recipe(sdist: bytes) -> str:
     project = told["project"]
     backend, compiler = told["build-system"]["requires"]
     needed = "\n".join(f"    - {conda_name(one)}" for one in project["dependencies"])
+    version = runpy.run_path(str(ROOT / "postfx/version.py"))
     return RECIPE.format(
-        version=runpy.run_path(str(ROOT / "postfx/version.py"))["__version__"],
+        version=version["__version__"],
+        publisher=version["PUBLISHER"],
         name=project["name"],
         letter=project["name"][0],
         file=project["name"].replace("-", "_"),

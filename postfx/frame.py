@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
@@ -112,6 +113,18 @@ GUIDE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUG
 
 OUTPUT_SIZE_ROLES = (*GUIDE_ROLES, Role.OVERLAY, Role.LATER)
 """Planes that may come at output size: as guides."""
+
+def factor_of_stops(stops: float) -> float:
+    """2 ** stops: infinite or 0 where no number holds it, NaN for NaN."""
+    return float(np.exp2(np.float64(stops)))
+
+
+def stops_of_factor(factor: float) -> float:
+    """log2(factor): infinite for 0 and infinity, NaN for what is below 0 and for NaN."""
+    if factor > 0:
+        return float(np.log2(np.float64(factor)))
+    return -math.inf if factor == 0 else math.nan
+
 
 PART_KINDS = ("light", "diffuse", "specular", "scatter", "emission", "albedo", "normal", "position", "depth", "mist",
               "shadow", "ao", "factor")
@@ -315,7 +328,7 @@ class Frame:
         number: frame number in its sequence.
         jitter: sub-pixel sample position minus 0.5, pixels of this frame, x right, y down; (0, 0) when the samples
             are spread over the pixel.
-        exposure: multiplier that the scene's author suggests for the tone mapper, or None.
+        exposure: stops that the scene's author suggests for the tone mapper, or None.
         reset: True at a cut: history must be dropped before this frame.
         samples: samples per pixel, or None when unknown.
         world_to_camera: 4x4 float64, row vectors (p_camera = p_world @ M), or None.
@@ -378,6 +391,11 @@ class Frame:
         if self.exposure is not None:
             self._numbers("exposure", 1)
 
+    @property
+    def exposure_factor(self) -> float | None:
+        """What light is multiplied by for `exposure`: 2 ** stops, or None."""
+        return None if self.exposure is None else factor_of_stops(self.exposure)
+
     def _numbers(self, name: str, count: int) -> np.ndarray:
         """A field's numbers, flat; FrameError where it holds others, or anything else."""
         value = getattr(self, name)
@@ -438,7 +456,9 @@ class Frame:
         """The colour as a PNG file at most 640 pixels wide or high, for notebooks; None without a colour."""
         from postfx.report.pictures import notebook_picture
 
-        return notebook_picture(self[Role.COLOUR], self.encoding, self.exposure or 1) if Role.COLOUR in self else None
+        if Role.COLOUR not in self:
+            return None
+        return notebook_picture(self[Role.COLOUR], self.encoding, self.exposure_factor or 1)
 
     def _rows(self) -> list[tuple[str, str, str, str]]:
         """Of each plane and guide its name, size and channels, type, and range."""

@@ -80,9 +80,9 @@ class LookTable:
         return self._pipeline(replace(frame, reset=True))[Role.COLOUR]
 
 
-def expose_colour(frame: Frame, exposure: float) -> Frame:
+def expose_colour(frame: Frame, exposure_factor: float) -> Frame:
     """The frame's colour alone, times an exposure."""
-    return Frame({Role.COLOUR: frame[Role.COLOUR] * np.float32(exposure)}, number=frame.number)
+    return Frame({Role.COLOUR: frame[Role.COLOUR] * np.float32(exposure_factor)}, number=frame.number)
 
 
 def _corners(size: int) -> np.ndarray:

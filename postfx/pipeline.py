@@ -7,6 +7,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from math import log2
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from postfx.repair import is_unusable, repair_nonfinite
 from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor, default_device
 from postfx.runtime.encoders import Recordings
 from postfx.runtime.memory import address
+from postfx.wrap import AROUND, AUTO, crop, is_panorama, validate_wrap, widen, widened_plan
 
 if TYPE_CHECKING:
     from postfx.doctor.first_frames import FirstFrames
@@ -66,6 +68,8 @@ class Pipeline:
         run_up: what fills the history before the first frame of a shot, such as a `postfx.RunUp`; None for nothing.
         checks: whether to look at the first frames that are denoised over time, and to tell the logger "postfx" what is
             plainly wrong with them, such as motion of the wrong sign; it takes a moment of the third frame.
+        wrap: 'x' for panorama frames, whose right edge goes on at the left one: there is no seam, and motion leads
+            across it; 'none' for others; 'auto' for what each frame's header says. Not for `on_device`.
 
     Where POSTFX_EXPOSURE_TOOL is 1 in the environment, `postfx.passes.exposure_tool` covers the upscaler's output.
 
@@ -73,7 +77,8 @@ class Pipeline:
         plan: the plan of the last frame, None before the first.
         timings: pass name -> milliseconds on the device, of the last frame.
         ahead: milliseconds on the device of each frame that was run up to the last one.
-        exposure: multiplier used for the last frame; None before the first and when no pass ran.
+        exposure: stops used for the last frame; None before the first and when no pass ran.
+        exposure_factor: likewise, what its light was multiplied by.
         cut: whether the last frame was found to begin another shot.
         bad_pixels: plane -> how many of its pixels in the last frame were not finite, see
             `postfx.repair.repair_nonfinite`.
@@ -91,6 +96,7 @@ class Pipeline:
         cuts: str = "auto",
         run_up: RunUp | None = None,
         checks: bool = True,
+        wrap: str = AUTO,
     ) -> None:
         if cuts not in ("auto", "none"):
             raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are known")
@@ -98,7 +104,7 @@ class Pipeline:
         self.device = device if device is not None else default_device()
         self.plan: Plan | None = None
         self.timings: dict[str, float] = {}
-        self.exposure: float | None = None
+        self.exposure_factor: float | None = None
         self.cut = False
         self.bad_pixels: dict[Role, int] = {}
         self.noticed: tuple[str, ...] = ()
@@ -108,12 +114,18 @@ class Pipeline:
         self._run_up = run_up
         self._checks = checks
         self._looker: FirstFrames | None = None
+        self._wrap = validate_wrap(wrap)
+        self._wide: tuple[Plan, int] | None = None  # the plan for frames with a margin, and the margin
         self._begins = True  # nothing is known of the frames before
         self._flow = Flow(self.device)
         self._own_device = device
         self._cuts = cuts
         self._views: dict[str, Pipeline] = {}
         self._lent: tuple[dict[Role, Tensor], dict[Role, Tensor]] = {}, {}  # the last frame's, in the device's memory
+
+    @property
+    def exposure(self) -> float | None:
+        return None if self.exposure_factor is None else log2(self.exposure_factor)
 
     def __repr__(self) -> str:
         """The passes as one would write them, and where they run."""
@@ -122,7 +134,8 @@ class Pipeline:
     def __reduce__(self) -> tuple[Callable[..., Pipeline], tuple[Any, ...]]:
         """Pickled by its arguments: the copy is not compiled and has no history. Without a device of its own it
         runs on the default device of the process that it comes to."""
-        return _make_pipeline, (self.passes, self._own_device, self._meter, self._cuts, self._run_up, self._checks)
+        return _make_pipeline, (self.passes, self._own_device, self._meter, self._cuts, self._run_up, self._checks,
+                                self._wrap)
 
     def __call__(self, frame: Frame) -> Frame:
         """The frame after all passes; the given frame is not changed. For one thread at a time.
@@ -146,9 +159,9 @@ class Pipeline:
             raise
 
     def _process(self, frame: Frame) -> Frame:
-        plan, self.ahead = self._make_plan(frame.spec), ()
+        plan, self.ahead = self._make_plan(frame.spec, self._goes_around(frame)), ()
         if not plan.steps:
-            self.timings, self.exposure, self.cut, self.bad_pixels, self.noticed = {}, None, False, {}, ()
+            self.timings, self.exposure_factor, self.cut, self.bad_pixels, self.noticed = {}, None, False, {}, ()
             return frame
         frame, self.bad_pixels = repair_nonfinite(frame, plan.planes, self.device.scratch)
         self.cut = self._is_cut(frame)
@@ -157,10 +170,10 @@ class Pipeline:
             LOG.info("frame %d begins another shot: the history is dropped", frame.number)
         if frame.reset:
             self._reset_passes()
-        self.exposure = self._meter(frame) if Role.COLOUR in frame else 1.0
+        self.exposure_factor = self._meter(frame) if Role.COLOUR in frame else 1.0
         self._look(frame, plan)
         run = self._run_up_to(frame, plan)
-        result = self._flow.run(run, plan, self.exposure, is_unusable(frame, self.bad_pixels), frame)
+        result = self._run(run, plan, is_unusable(frame, self.bad_pixels), frame)
         self._begins, self.timings = False, dict(self._flow.timings)
         self.noticed = tuple(filter(None, (step.instance.notice() for step in plan.steps)))
         for text in self.noticed if self._checks else ():
@@ -172,6 +185,22 @@ class Pipeline:
         views = {name: self._process_view(name, view.copy_with(reset=view.reset or self.cut))
                  for name, view in frame.views.items()}
         return result.copy_with(views=views)
+
+    def _run(self, frame: Frame, plan: Plan, unusable: bool, given: Frame) -> Frame:
+        """The frame that comes out, of the one that is run; of a panorama, with what lies beyond its edges."""
+        assert self.exposure_factor is not None
+        if self._wide is None:
+            return self._flow.run(frame, plan, self.exposure_factor, unusable, given)
+        wide, margin = self._wide
+        run = widen(frame, margin)
+        whole = run if frame is given else widen(given, margin)
+        found = self._flow.run(run, wide, self.exposure_factor, unusable, whole)
+        return crop(found, given, plan)
+
+    def _goes_around(self, frame: Frame) -> bool:
+        """Whether a frame's right edge goes on at the left one."""
+        return self._wrap == AROUND or (self._wrap == AUTO and "textureformat" in frame.metadata
+                                        and is_panorama(frame.metadata))
 
     def _look(self, frame: Frame, plan: Plan) -> None:
         """Tell the log what is plainly wrong with the first frames."""
@@ -199,7 +228,7 @@ class Pipeline:
             of_view = getattr(self._run_up, "of_view", None)
             passes = [copy.copy(item) for item in self.passes]
             self._views[name] = Pipeline(passes, self.device, _SharedExposure(self), "none", of_view and of_view(name),
-                                         checks=False)
+                                         checks=False, wrap=self._wrap)
         return self._views[name]
 
     def on_device(
@@ -245,10 +274,10 @@ class Pipeline:
             plan, self.ahead, self.cut, self.bad_pixels = self._make_plan(spec), (), reset, {}
             if reset:
                 self._reset_passes()
-            self.exposure = self._exposure_of(exposure, tensors, number, reset)
+            self.exposure_factor = self._exposure_of(exposure, tensors, number, reset)
             used, seen = {role: tensors[role] for role in plan.planes}, {role: sharp[role] for role in plan.guides}
             resident = ResidentFrame(
-                plan.input, dict(used), number, jitter, self.exposure, reset, samples=samples, fov_x=fov_x,
+                plan.input, dict(used), number, jitter, self.exposure_factor, reset, samples=samples, fov_x=fov_x,
                 world_to_camera=world_to_camera, guides=seen, guide_jitter=guide_jitter, is_away=True,
                 host_planes=Downloads(used), host_guides=Downloads(seen))
             result = self._flow.run_away(resident, plan)
@@ -274,7 +303,7 @@ class Pipeline:
         """
         for name in views:
             self._of_view(name).compile(spec)
-        return self._make_plan(spec)
+        return self._make_plan(spec, self._wrap == AROUND)
 
     def explain(self, spec: FrameSpec | None = None) -> Plan:
         """The plan for a spec, by default the last frame's, with what frames were spared so far. `print` it, or take
@@ -322,7 +351,7 @@ class Pipeline:
         Raises FrameError when it is the history of other passes or of frames of another size.
         """
         self.reset()
-        self._make_plan(frame.spec)
+        self._make_plan(frame.spec, self._goes_around(frame))
         try:
             for key in history:
                 if not key.startswith(_VIEW):
@@ -344,12 +373,12 @@ class Pipeline:
     def _is_cut(self, frame: Frame) -> bool:
         return self._detector is not None and frame.encoding == "scene-linear" and self._detector(frame)
 
-    def _make_plan(self, spec: FrameSpec) -> Plan:
-        if self.plan is None or self.plan.available != spec:
-            plan, last = make_plan(self.passes, spec), self.plan
-            self.plan = None
+    def _make_plan(self, spec: FrameSpec, around: bool = False) -> Plan:
+        if self.plan is None or self.plan.available != spec or around != (self._wide is not None):
+            plan, last = make_plan(self.passes, spec), self._wide[0] if self._wide else self.plan
+            self.plan, self._wide = None, widened_plan(self.passes, plan) if around else None
             ready = {step.instance: step.input for step in last.steps} if last else {}
-            for step in plan.steps:
+            for step in self._wide[0].steps if self._wide else plan.steps:
                 self._make_ready(step, ready.get(step.instance))
             self.plan = plan
             LOG.info("ready for frames of %dx%d: %s", spec.width, spec.height,
@@ -368,6 +397,7 @@ class Pipeline:
         """What is run for a frame: where it begins a shot and a pass profits, what the frames after it lead to."""
         if self._run_up is None or not self._begins:
             return frame
+        plan = self._wide[0] if self._wide else plan
         steps = plan.accumulating_steps()
         return self._run_up(frame, partial(self._run_ahead, plan, steps)) if steps else frame
 
@@ -376,7 +406,8 @@ class Pipeline:
         frame, bad_pixels = repair_nonfinite(dataclasses.replace(frame), plan.planes, self.device.scratch)
         if frame.reset:
             self._reset_passes()
-        self._flow.run_ahead(frame, plan, steps, self.exposure or 1.0, is_unusable(frame, bad_pixels))
+        frame = widen(frame, self._wide[1]) if self._wide else frame
+        self._flow.run_ahead(frame, plan, steps, self.exposure_factor or 1.0, is_unusable(frame, bad_pixels))
         self.ahead += (sum(self._flow.timings.values()),)
 
     def _reset_passes(self) -> None:
@@ -401,14 +432,14 @@ class _SharedExposure(ExposureMeter):
         self._first = first
 
     def __call__(self, frame: Frame) -> float:
-        return self._first.exposure or 1.0
+        return self._first.exposure_factor or 1.0
 
 
 def _make_pipeline(
     passes: Sequence[Pass], device: Device | None, meter: ExposureMeter | SmoothExposure, cuts: str,
-    run_up: RunUp | None, checks: bool
+    run_up: RunUp | None, checks: bool, wrap: str
 ) -> Pipeline:
-    pipeline = Pipeline(passes, device, meter, cuts, run_up, checks)
+    pipeline = Pipeline(passes, device, meter, cuts, run_up, checks, wrap)
     pipeline.reset()
     return pipeline
 
@@ -433,9 +464,9 @@ class Flow:
         for kept in (self._copies, self._inputs, self._recordings, self._results):
             kept.clear()
 
-    def run(self, frame: Frame, plan: Plan, exposure: float, unusable: bool, given: Frame) -> Frame:
+    def run(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool, given: Frame) -> Frame:
         """The frame that comes out. Planes that no pass touches, and all that is not a plane, come from `given`."""
-        resident = self._upload(frame, plan, exposure, unusable)
+        resident = self._upload(frame, plan, exposure_factor, unusable)
         inputs = dict(resident.tensors)
         with self._device.results_lock:  # the next commit may take the memory of the results
             self._run(plan.steps, resident)
@@ -459,18 +490,19 @@ class Flow:
             memory.synchronise()
         return found
 
-    def run_ahead(self, frame: Frame, plan: Plan, steps: Sequence[Step], exposure: float, unusable: bool) -> None:
+    def run_ahead(self, frame: Frame, plan: Plan, steps: Sequence[Step], exposure_factor: float,
+                  unusable: bool) -> None:
         """Take a frame through the first steps of a plan, for nothing but their history."""
-        resident = self._upload(frame, plan, exposure, unusable)
+        resident = self._upload(frame, plan, exposure_factor, unusable)
         resident.history_only = True
         with self._device.results_lock:
             self._run(steps, resident)
 
-    def _upload(self, frame: Frame, plan: Plan, exposure: float, unusable: bool) -> ResidentFrame:
+    def _upload(self, frame: Frame, plan: Plan, exposure_factor: float, unusable: bool) -> ResidentFrame:
         inputs = {role: self._input(role, frame.planes[role]) for role in plan.planes}
         guides = {role: self._input(f"guide {role}", frame.guides[role]) for role in plan.guides}
         parts = {name: self._input(f"part {name}", frame.parts[name]) for name in plan.parts}
-        return ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure, unusable)
+        return ResidentFrame.of(frame, plan.input, inputs, guides, parts, exposure_factor, unusable)
 
     def _input(self, name: str, array: np.ndarray) -> Tensor:
         """A plane as a tensor: on the last frame's memory, so that its commands are known again, where that is the

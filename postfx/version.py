@@ -6,6 +6,8 @@ DISTRIBUTION = "postfx-render"
 """Name for the package index, where the name postfx is another project's."""
 IS_PUBLISHED = False
 """Whether the package index has it. Until then messages and documents name a checkout or a wheel."""
+PUBLISHER = "OWNER"
+"""The account that publishes it, in conda-forge's recipe and ComfyUI's registry: to be set with IS_PUBLISHED."""
 
 
 def pip_install(extra: str = "") -> str:

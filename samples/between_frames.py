@@ -21,7 +21,7 @@ import OpenImageIO as oiio
 
 import postfx
 from postfx import Frame, Role
-from postfx.bench.metrics import Pictures, flicker, flip, grey_exposure, psnr, ssim
+from postfx.bench.metrics import Pictures, flicker, flip, grey_factor, psnr, ssim
 from postfx.colour.views import to_codes
 from postfx.sampling import bilinear, motion_at
 
@@ -44,7 +44,7 @@ class Gap(NamedTuple):
     later: Frame | None
     earlier: Frame | None
     wanted: np.ndarray
-    exposure: float
+    exposure_factor: float
     steps: tuple[np.ndarray, np.ndarray]
 
 
@@ -53,7 +53,7 @@ def gaps(folder: Path) -> Iterator[Gap]:
     noisy = {frame.number: frame for frame in postfx.read_sequence(str(folder / "noisy.####.exr"))}
     pictures = {frame.number: frame for frame in postfx.read_sequence(str(folder / "reference.####.exr"))}
     numbers = sorted(pictures)
-    exposure = pictures[numbers[0]].exposure or grey_exposure(pictures[numbers[0]][Role.COLOUR])
+    factor = pictures[numbers[0]].exposure_factor or grey_factor(pictures[numbers[0]][Role.COLOUR])
     for first in (0, 1):
         shown = numbers[first::2]
         frames = [without_middle(noisy.get(n), noisy.get(n - 1), pictures[n], n == shown[0]) for n in shown]
@@ -63,7 +63,7 @@ def gaps(folder: Path) -> Iterator[Gap]:
             h, w = wanted.shape[:2]
             back, on = (motion_at(noisy[shown[k] + step][Role.MOTION], np.arange(h), np.arange(w), h, w)
                         for step in (1, 2))
-            yield Gap(before, after, later, frames[k - 1] if k else None, wanted, exposure, (back, on))
+            yield Gap(before, after, later, frames[k - 1] if k else None, wanted, factor, (back, on))
 
 
 def without_middle(noisy: Frame, middle: Frame | None, picture: Frame, first: bool) -> Frame:
@@ -105,7 +105,8 @@ def warp(gap: Gap) -> np.ndarray:
 
 def flow(gap: Gap, kind: str) -> np.ndarray:
     """Both frames, each from half way along OpenCV's flow between display pictures."""
-    grey = [np.uint8(255 * to_codes(frame[Role.COLOUR], gap.exposure).mean(-1)) for frame in (gap.before, gap.after)]
+    grey = [np.uint8(255 * to_codes(frame[Role.COLOUR], gap.exposure_factor).mean(-1))
+            for frame in (gap.before, gap.after)]
     found = []
     for one, other, frame in ((*grey, gap.before), (*grey[::-1], gap.after)):
         field = cv2.calcOpticalFlowFarneback(one, other, None, 0.5, 5, 21, 5, 7, 1.5, 0) if kind == "farneback" else \
@@ -117,7 +118,7 @@ def flow(gap: Gap, kind: str) -> np.ndarray:
 def flicker_of(gap: Gap, shown: np.ndarray, wanted: np.ndarray) -> float:
     """Mean flicker of the steps to the new picture and from it, where motion explains the rendered ones; else NaN."""
     before, after = (Pictures(codes, codes) for codes in
-                     (to_codes(frame[Role.COLOUR], gap.exposure) for frame in (gap.before, gap.after)))
+                     (to_codes(frame[Role.COLOUR], gap.exposure_factor) for frame in (gap.before, gap.after)))
     new = Pictures(shown, wanted)
     found = flicker(before, new, gap.steps[0]), flicker(new, after, gap.steps[1])
     return float(np.mean([np.nan if one is None else one for one in found]))
@@ -148,7 +149,7 @@ def main() -> None:
                 begin = time.process_time()
                 colour = method(gap)
                 seconds = time.process_time() - begin
-                shown, wanted = (to_codes(one, gap.exposure) for one in (colour, gap.wanted))
+                shown, wanted = (to_codes(one, gap.exposure_factor) for one in (colour, gap.wanted))
                 light = 100 * (colour.mean() / gap.wanted.mean() - 1)
                 rows.append((psnr(shown, wanted), ssim(shown, wanted), flip(shown, wanted),
                              flicker_of(gap, shown, wanted), light, seconds))
@@ -157,7 +158,7 @@ def main() -> None:
                   f"{means[3]:>9.2f}{means[4]:>9.2f}{np.median(rows, 0)[5]:>7.2f}")
     if arguments.picture:
         gap = made[min(1, len(made) - 1)]
-        codes = [to_codes(one, gap.exposure) for one in (blend(gap), between(gap), gap.wanted)]
+        codes = [to_codes(one, gap.exposure_factor) for one in (blend(gap), between(gap), gap.wanted)]
         image = oiio.ImageBuf(np.ascontiguousarray(np.concatenate(codes, 1), np.float32))
         if not image.write(arguments.picture, "uint8"):
             raise SystemExit(image.geterror())

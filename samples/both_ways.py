@@ -18,14 +18,14 @@ ROOM = Path(__file__).parent / "room"
 CROP = slice(120, 300), slice(60, 260)  # of the output: boards and a corner with little light
 
 
-def seen(colour: np.ndarray, exposure: float) -> np.ndarray:
+def seen(colour: np.ndarray, exposure_factor: float) -> np.ndarray:
     """Within [0, 1], as a display shows it."""
-    light = np.maximum(colour, 0) * exposure
+    light = np.maximum(colour, 0) * exposure_factor
     return (light / (1 + light)) ** (1 / 2.2)
 
 
 def psnr(colour: np.ndarray, reference: Frame) -> float:
-    pictures = (seen(light, reference.exposure) for light in (colour, reference[Role.COLOUR]))
+    pictures = (seen(light, reference.exposure_factor) for light in (colour, reference[Role.COLOUR]))
     return float(-10 * np.log10(np.square(np.subtract(*pictures)).mean()))
 
 
@@ -47,6 +47,6 @@ for frame, reference in zip(shot, references, strict=True):
     print(f"{frame.number:5d}  {one:8.2f}  {two:6.2f}  {three:9.2f}")
     if frame.number == 1:
         columns = [frame[Role.COLOUR].repeat(2, 0).repeat(2, 1), *results, reference[Role.COLOUR]]
-        row = np.concatenate([seen(column[CROP], reference.exposure) for column in columns], 1)
+        row = np.concatenate([seen(column[CROP], reference.exposure_factor) for column in columns], 1)
         sheet = Frame({Role.COLOUR: row.repeat(2, 0).repeat(2, 1).astype(np.float32)}, encoding="srgb")
 print("wrote", postfx.write_frame(args.picture, sheet))

@@ -78,7 +78,7 @@ def main() -> None:
         masked = replace(frame, planes={**planes, Role.STRENGTH: strength})
         pictures, times = compare([masked, frame], arguments.model, arguments.runs)
         alone = resample(strength, 2 * height, 2 * width, first.jitter)[:, :, 0] == 0
-        errors = [(to_codes(picture, exposure) - to_codes(reference, exposure))**2 for picture in pictures]
+        errors = [(to_codes(picture, 2.0**exposure) - to_codes(reference, 2.0**exposure))**2 for picture in pictures]
         scores = [-10 * np.log10(part.mean()) for part in (*(error[alone] for error in errors), *errors)]
         print(f"{target:6.2f}  {count.mean():7.1f}  {100 * alone.mean():9.1f} %  {scores[0]:12.2f}  {scores[1]:8.2f}  "
               f"{scores[2]:17.2f}  {scores[3]:8.2f}  {times[0]:15.0f}  {times[1]:8.0f}", flush=True)

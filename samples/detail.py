@@ -27,7 +27,7 @@ import numpy as np
 import postfx
 from postfx import Frame, Role, integrate
 from postfx.bench.methods import OTHERS, Method, make
-from postfx.bench.metrics import LUMINANCE, grey_exposure, psnr
+from postfx.bench.metrics import LUMINANCE, grey_factor, psnr
 from postfx.colour.views import to_codes
 
 PARTS = ("albedo", "light", "shadow edges")
@@ -164,7 +164,7 @@ def main() -> None:
     exposure = 0.0
     for t in range(arguments.frames):
         noisy, clean, reference = view(t, arguments.pan, arguments.noise)
-        exposure, frames = exposure or grey_exposure(reference), [*frames, clean]
+        exposure, frames = exposure or grey_factor(reference), [*frames, clean]
         mean = reference.reshape(HEIGHT, SCALE, WIDTH, SCALE, 3).mean((1, 3))
         pictures = {name: way(clean if name == "cubic" else noisy) for name, way in ways.items()}
         pictures["perfect + cubic"] = ways["cubic"](Frame({Role.COLOUR: mean}))

@@ -36,8 +36,8 @@ def show(light):
 def grade(source, target, stops=0.0):
     """What another program does: read light and its exposure from the header, expose, tone-map, write a PNG."""
     picture = oiio.ImageBuf(str(source))
-    exposure = picture.spec().getattribute("postfx:exposureUsed")
-    codes = show(picture.get_pixels(oiio.FLOAT)[..., :3] * exposure * 2.0**stops)
+    exposure = picture.spec().getattribute("postfx:exposureUsedEV")
+    codes = show(picture.get_pixels(oiio.FLOAT)[..., :3] * 2.0**(exposure + stops))
     written = oiio.ImageBuf(codes.astype(np.float32))
     target.parent.mkdir(parents=True, exist_ok=True)
     if not written.write(str(target), oiio.UINT8):

@@ -94,9 +94,9 @@ def shots(kind: Kind) -> list[Shot]:
     return found
 
 
-def seen(colour: np.ndarray, exposure: float) -> np.ndarray:
+def seen(colour: np.ndarray, exposure_factor: float) -> np.ndarray:
     """Within [0, 1], as a display shows it."""
-    light = np.maximum(colour, 0) * exposure
+    light = np.maximum(colour, 0) * exposure_factor
     return (light / (1 + light)) ** (1 / 2.2)
 
 
@@ -111,7 +111,7 @@ def measure(results: list[np.ndarray], sequence: list[Shot]) -> tuple[float, flo
     """Errors x1000 where particles were one frame before and any number of frames before, and the PSNR in dB."""
     was, errors = np.zeros_like(sequence[0].covered), ([], [], [])
     for before, shot, result in zip(sequence, sequence[1:], results[1:], strict=False):
-        error = np.square(seen(result, shot.frame.exposure) - seen(shot.reference, shot.frame.exposure))
+        error = np.square(seen(result, shot.frame.exposure_factor) - seen(shot.reference, shot.frame.exposure_factor))
         was, now_clear = was | before.covered, clear(shot.covered)
         for kept, pixels in zip(errors, (before.covered & now_clear, was & now_clear, ...), strict=True):
             kept.append(error[pixels].ravel())
@@ -137,7 +137,7 @@ def main() -> None:
     if args.output:
         shot = sequence[-1]
         shown = np.concatenate([pictures["no mask"], pictures["difference"], shot.reference], 1)
-        pixels = np.ascontiguousarray(255 * seen(shown, shot.frame.exposure) + 0.5, np.uint8)
+        pixels = np.ascontiguousarray(255 * seen(shown, shot.frame.exposure_factor) + 0.5, np.uint8)
         oiio.ImageBuf(pixels).write(str(args.output))
 
 

@@ -55,9 +55,9 @@ MISTAKES: dict[str, Change] = {
 }
 
 
-def shown(frame: Frame, exposure: float) -> np.ndarray:
+def shown(frame: Frame, exposure_factor: float) -> np.ndarray:
     """Code values 0..1 of x / (1 + x), x exposed."""
-    exposed = np.maximum(frame[Role.COLOUR] * exposure, 0)
+    exposed = np.maximum(frame[Role.COLOUR] * exposure_factor, 0)
     return (exposed / (1 + exposed)) ** (1 / 2.2)
 
 
@@ -66,7 +66,7 @@ def psnr_with(mistake: Change, frames: list[Frame], reference: Frame) -> float:
     passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2)], exposure="metadata", cuts="none")
     for before, frame in zip([frames[0], *frames], frames, strict=False):
         result = passes(mistake(frame, before))
-    error = shown(result, reference.exposure) - shown(reference, reference.exposure)
+    error = shown(result, reference.exposure_factor) - shown(reference, reference.exposure_factor)
     return float(-10 * np.log10(np.square(error).mean()))
 
 

@@ -199,7 +199,9 @@ def main() -> None:
     jitter, exposure = integrate.jitter_sequence(integrate.jitter_length(2)), None
     for number in range(1, arguments.frames + 1):
         frame = render(number, width, height, arguments.samples, jitter[(number - 1) % len(jitter)])
-        exposure = frame.exposure = exposure or integrate.exposure_hint(frame[Role.COLOUR])
+        if exposure is None:
+            exposure = integrate.exposure_hint(frame[Role.COLOUR])
+        frame.exposure = exposure
         print("wrote", integrate.write_planes(arguments.output / f"noisy.{number:04d}.exr", frame))
     for number in arguments.reference:
         frame = render(number, 2 * width, 2 * height, 64, None)

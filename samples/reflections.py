@@ -55,18 +55,19 @@ def main() -> None:
     for roughness in arguments.roughness:
         frames = [render(number, width, height, arguments.samples, jitter[(number - 1) % len(jitter)], floor=roughness)
                   for number in range(1, arguments.frames + 1)]
-        exposure = integrate.exposure_hint(frames[0][Role.COLOUR])
+        stops = integrate.exposure_hint(frames[0][Role.COLOUR])
+        factor = 2.0**stops
         references = [render(number, 2 * width, 2 * height, arguments.reference_samples, None, 1000 + number, roughness)
                       for number in arguments.judged]
-        wanted = {frame.number: to_codes(frame[Role.COLOUR], exposure) for frame in references}
+        wanted = {frame.number: to_codes(frame[Role.COLOUR], factor) for frame in references}
         masks = {number: floor_mask(number, 2 * width, 2 * height) for number in arguments.judged}
         for model in arguments.models.split(","):
             floor, rest = [], []
             for some in variants(frames):
-                passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=model)], exposure=math.log2(exposure),
+                passes = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=model)], exposure=stops,
                                          cuts="none")
                 made = {frame.number: passes(frame)[Role.COLOUR] for frame in some}
-                errors = {number: to_codes(made[number], exposure) - wanted[number] for number in arguments.judged}
+                errors = {number: to_codes(made[number], factor) - wanted[number] for number in arguments.judged}
                 floor.append(psnr([errors[number][masks[number]] for number in errors]))
                 rest.append(psnr([errors[number][~masks[number]] for number in errors]))
             figures = " | ".join(f"{value:.2f}" for value in floor)

@@ -80,7 +80,8 @@ def run(passes: list[postfx.Pass], shot: list[Frame], exposure: float) -> list[F
 def auto_exposure(frame: Frame) -> float:
     """Stops by the meter of `--exposure auto`."""
     pipeline = postfx.Pipeline([postfx.ToneMap()], exposure="auto")
-    return float(np.log2(pipeline(frame).exposure or 1.0))
+    pipeline(frame)
+    return pipeline.exposure or 0.0
 
 
 def figures(frame: Frame, reference: Frame, exposure: float) -> str:

@@ -66,7 +66,7 @@ def shots() -> Iterator[Frame]:
         shot, at = divmod(t, SHOT)
         light = (0.1 * np.sin(at / 4), -2.2 * at / SHOT, 1.0)[shot]
         stops = right + (0.0, max(0.0, 2.2 * (at - SHOT / 2) / SHOT), -1.75)[shot]
-        yield Frame({Role.COLOUR: picture * 2**light}, number=t + 1, exposure=2**stops, reset=at == 0)
+        yield Frame({Role.COLOUR: picture * 2**light}, number=t + 1, exposure=stops, reset=at == 0)
 
 
 def take_screenshot(page: Path, size: tuple[int, int], path: Path) -> None:

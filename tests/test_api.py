@@ -1,6 +1,9 @@
 """The public names, pinned: a change here is a change for users."""
 
 import ast
+import inspect
+import pkgutil
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -8,9 +11,11 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import postfx
+from postfx.frame import Frame, Role
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 PUBLIC = [
@@ -87,3 +92,41 @@ def test_names_that_other_folders_import_are_there(folder):
     lost = [f"{path.relative_to(REPOSITORY)}: {module}.{name}" for path in files for module, name in taken_names(path)
             if not hasattr(import_module(module), name) and find_spec(f"{module}.{name}") is None]
     assert not lost
+
+
+def test_exposure_is_in_stops_wherever_it_is_called_exposure():
+    """A factor is called `exposure_factor`: no function and no field takes one as `exposure`."""
+    found, seen = [], 0
+    for module in pkgutil.walk_packages(postfx.__path__, "postfx."):
+        if module.name.startswith(("postfx.cli", "postfx.kernels")) or module.name.endswith("__main__"):
+            continue
+        for name, thing in inspect.getmembers(import_module(module.name)):
+            is_class = inspect.isclass(thing)
+            own = getattr(thing, "__module__", "") == module.name
+            if not own or not (is_class or inspect.isfunction(thing)):
+                continue
+            methods = [item for item in vars(thing).values() if inspect.isfunction(item)] if is_class else []
+            for part in [thing, *methods]:
+                try:
+                    takes = "exposure" in inspect.signature(part).parameters
+                except ValueError:
+                    continue
+                seen += takes
+                told = " ".join(filter(None, (inspect.getdoc(part), inspect.getdoc(thing))))
+                is_told = re.search(r"\bstops\b|as for a `Pipeline`", told) or part.__name__.startswith("_")
+                if takes and not is_told:
+                    found.append(f"{module.name}.{name}: {part.__qualname__}")
+    assert seen > 10 and found == []
+
+
+def test_one_stop_is_one_stop_in_every_call():
+    """Twice the light at one stop less is the same picture; what is told back is in stops, too."""
+    light = np.random.default_rng(0).random((24, 32, 3), np.float32)
+    look = postfx.Pipeline([postfx.ToneMap()], exposure=1.0)
+    shown = look(Frame({"color": light}))[Role.COLOUR]
+    assert look.exposure == 1.0 and look.exposure_factor == 2.0
+    lit = postfx.Pipeline([postfx.ToneMap()], exposure="lit")
+    np.testing.assert_array_equal(lit(Frame({"color": light}, exposure=1.0))[Role.COLOUR], shown)
+    np.testing.assert_array_equal(lit(Frame({"color": 2 * light}, exposure=0.0))[Role.COLOUR], shown)
+    np.testing.assert_array_equal(look.on_device({"color": light}, exposure=1.0)[Role.COLOUR].download(), shown)
+    assert look.exposure == 1.0

@@ -105,15 +105,16 @@ def test_sequence_equals_frame_by_frame(device):
 
 def test_metadata_reaches_the_passes_and_the_result(device):
     probe = Probe()
-    frame = make_frame(12, jitter=(0.25, -0.5), reset=True, samples=4, fov_x=40.0, exposure=2.0,
+    frame = make_frame(12, jitter=(0.25, -0.5), reset=True, samples=4, fov_x=40.0, exposure=1.0,
                        world_to_camera=np.eye(4), metadata={"owner": "me"}, source="noisy.0012.exr")
     pipeline = Pipeline([probe], device, exposure="metadata")
     result = pipeline(frame)
     seen = probe.seen[0]
     assert (seen.number, seen.jitter, seen.reset, seen.samples, seen.fov_x) == (12, (0.25, -0.5), True, 4, 40.0)
-    assert seen.exposure == pipeline.exposure == 2.0 and seen.metadata["owner"] == "me"
+    assert seen.exposure_factor == pipeline.exposure_factor == 2.0 and pipeline.exposure == 1.0
+    assert seen.metadata["owner"] == "me"
     assert np.array_equal(seen.world_to_camera, np.eye(4))
-    assert (result.number, result.jitter, result.reset, result.exposure) == (12, (0.25, -0.5), True, 2.0)
+    assert (result.number, result.jitter, result.reset, result.exposure) == (12, (0.25, -0.5), True, 1.0)
     assert result.metadata == {"owner": "me"} and result.source == "noisy.0012.exr"
 
 
@@ -130,8 +131,8 @@ def test_exposure_is_metered_frame_by_frame(device):
     for frame in frames:
         pipeline(frame)
     meter = ExposureMeter("auto")
-    assert [seen.exposure for seen in probe.seen] == [meter(frame) for frame in frames]
-    assert Pipeline([probe], device, exposure=1.5)(make_frame()) and probe.seen[-1].exposure == 2**1.5
+    assert [seen.exposure_factor for seen in probe.seen] == [meter(frame) for frame in frames]
+    assert Pipeline([probe], device, exposure=1.5)(make_frame()) and probe.seen[-1].exposure_factor == 2**1.5
 
 
 def test_compiles_once_a_spec_and_only_for_planes_that_are_read(device):
@@ -323,7 +324,7 @@ def test_a_pickled_pipeline_begins_anew(own, device, monkeypatch):
     assert copied.device.threads == pipeline.device.threads
     assert (copied.device is not pipeline.device) == own
     assert copied(make_frame(1)) == first
-    assert copied.exposure == Pipeline([toys.Sum()], device, cuts="none")._meter(make_frame(1))
+    assert copied.exposure_factor == Pipeline([toys.Sum()], device, cuts="none")._meter(make_frame(1))
 
 
 def test_a_pickled_pass_has_its_options():

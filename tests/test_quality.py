@@ -21,7 +21,7 @@ from postfx.bench.methods import (  # noqa: E402
     catalogue,
     make,  # noqa: E402
 )
-from postfx.bench.metrics import Pictures, flicker, flip, grey_exposure, psnr, ssim, to_codes  # noqa: E402
+from postfx.bench.metrics import Pictures, flicker, flip, grey_factor, psnr, ssim, to_codes  # noqa: E402
 from postfx.frame import GUIDE_ROLES, Frame, Role  # noqa: E402
 from postfx.kernels.denoise import KERNEL  # noqa: E402
 from postfx.passes.denoise import models  # noqa: E402
@@ -92,7 +92,7 @@ def material(folder: Path) -> Material:
 def target(folder: Path, number: int) -> tuple[np.ndarray, float]:
     """Code values of a reference, and the exposure that they were made with."""
     reference, first = (material(folder).reference(at) for at in (number, material(folder).noisy.numbers[0]))
-    exposure = reference.exposure or grey_exposure(first[Role.COLOUR])
+    exposure = reference.exposure_factor or grey_factor(first[Role.COLOUR])
     return to_codes(reference[Role.COLOUR], exposure), exposure
 
 
@@ -139,7 +139,7 @@ def room_at_1x(tag: str) -> float:
         if frame.number > len(sample.noisy.numbers) // 2:
             reference = sample.reference(frame.number)
             wanted = reference[Role.COLOUR].reshape(*result.shape[:1], 2, result.shape[1], 2, 3).mean((1, 3))
-            found.append(psnr(*(to_codes(colour, reference.exposure) for colour in (result, wanted))))
+            found.append(psnr(*(to_codes(colour, reference.exposure_factor) for colour in (result, wanted))))
     return float(np.mean(found))
 
 

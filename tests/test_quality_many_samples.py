@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
-from postfx.bench.metrics import grey_exposure, psnr, to_codes  # noqa: E402
+from postfx.bench.metrics import grey_factor, psnr, to_codes  # noqa: E402
 from postfx.frame import Frame, Role  # noqa: E402
 from postfx.passes.denoise import DenoiseUpscale  # noqa: E402
 from postfx.pipeline import Pipeline  # noqa: E402
@@ -34,7 +34,7 @@ def test_a_result_is_better_than_its_input_however_many_samples_that_has(model: 
     with np.load(VIEW) as view:
         noisy, reference = frame(view, samples), view["reference"].astype(np.float32)
     result = Pipeline([DenoiseUpscale(model=model, scale=1)], Device("cpu"))(noisy)[Role.COLOUR]
-    exposure = grey_exposure(reference)
+    exposure = grey_factor(reference)
     before, after = (psnr(to_codes(picture, exposure), to_codes(reference, exposure))
                      for picture in (noisy[Role.COLOUR], result))
     print(f"{model}, {samples} samples a pixel: {before:.2f} dB, then {after:.2f} dB")

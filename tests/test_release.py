@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from postfx.version import __version__
+from postfx.version import PUBLISHER, __version__
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKFLOWS = sorted((ROOT / ".github/workflows").glob("*.yml"))
@@ -103,6 +103,14 @@ def test_the_tag_is_compared_with_the_version() -> None:
     for tag, code in ((f"v{__version__}", 0), (f"v{__version__}1", 1), (__version__, 1)):
         run = subprocess.run(["sh", "-c", line], cwd=ROOT, env={"PATH": "/usr/bin:/bin", "GITHUB_REF_NAME": tag})
         assert run.returncode == code, tag
+
+
+def test_who_publishes_is_named_in_one_place() -> None:
+    """What holds the name itself, as it cannot read it, is compared."""
+    nodes = tomllib.loads((ROOT / "hosts/comfyui_postfx/pyproject.toml").read_text("utf-8"))
+    assert nodes["tool"]["comfy"]["PublisherId"] == PUBLISHER
+    made = runpy.run_path(str(ROOT / "packaging/conda_recipe.py"))
+    assert read_yaml(made["recipe"](b"sdist"))["extra"]["recipe-maintainers"] == [PUBLISHER]
 
 
 def test_the_recipe_of_conda_forge_has_what_the_package_needs() -> None:

@@ -82,13 +82,13 @@ def test_what_is_noted_in_a_result_is_not_in_the_frame(device):
 @pytest.mark.parametrize("trouble", ["colour", "exposure"])
 def test_a_frame_that_fails_before_the_passes_ends_the_history_too(device, trouble):
     pipeline = Pipeline([toys.Sum()], device, "metadata", "none")
-    pipeline(make_frame(1, exposure=1.0))
-    bad = make_frame(2, exposure=None if trouble == "exposure" else 1.0)
+    pipeline(make_frame(1, exposure=0.0))
+    bad = make_frame(2, exposure=None if trouble == "exposure" else 0.0)
     if trouble == "colour":
-        bad = Frame({Role.DEPTH: np.ones((4, 6, 1), np.float32)}, exposure=1.0)
+        bad = Frame({Role.DEPTH: np.ones((4, 6, 1), np.float32)}, exposure=0.0)
     with pytest.raises((ExposureError, MissingPlaneError)):
         pipeline(bad)
-    frame = make_frame(3, exposure=1.0)
+    frame = make_frame(3, exposure=0.0)
     assert np.array_equal(pipeline(frame)[Role.COLOUR], frame[Role.COLOUR])
 
 

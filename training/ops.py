@@ -15,6 +15,7 @@ from postfx.kernels.denoise import DOUBT, FAINT, MAX_COLOUR, TRUST_CELL
 
 TAPS = 5
 TINY = float(layout.TINY)
+LEAST_IMPORTANCE = float(layout.LEAST_IMPORTANCE)
 EMITTER, LEAST_TINT, ADDED = float(layout.EMITTER), float(layout.LEAST_TINT), float(layout.ADDED)
 MAX_SPAN = 4  # pixels along a line that one pixel of a picture up to 3 times smaller touches
 
@@ -176,7 +177,7 @@ def valid_area(like: Tensor, height: int, width: int) -> Tensor:
 def pool(colour: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Weighted mean over 2x2 pixels, and the mean weight."""
     total = F.avg_pool2d(weight, 2)
-    return F.avg_pool2d(colour * weight, 2) / total.clamp(min=TINY), total
+    return F.avg_pool2d(colour * weight, 2) / total.clamp(min=LEAST_IMPORTANCE), total
 
 
 def filter_kernels(image: Tensor, kernels: Tensor, valid: Tensor) -> Tensor:

@@ -2,13 +2,14 @@
 
 python web/export.py FOLDER
 
-`denoise.1x.onnx` and `denoise.2x.onnx` hold the network `s` and the portable kernels around it, in the order of
+`denoise.s.1x.onnx`, `denoise.m.2x.onnx` and so on hold a network and the portable kernels around it, in the order of
 `postfx.passes.denoise.network`. They read the planes of a frame without a history and give its clean colour; any ONNX
 Runtime runs them, for frames of any size. `look.NAME.onnx` is a look that depends on colour alone.
 """
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,18 +19,20 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from postfx.kernels.denoise import FEATURES, HIDDEN
-from postfx.passes.denoise.models import doubts_planes
-from postfx.passes.denoise.network import FEATURE_PARTS
+from postfx.passes.denoise.models import UNSCALED, doubts_planes, exact, grid_of, load_network, model_of
+from postfx.passes.denoise.network import FEATURE_PARTS, alike_heads, free_dimensions
 from postfx.passes.denoise.tiling import LEVELS
-from postfx.passes.tonemap import find_model, shaper
+from postfx.passes.tonemap import find_model as find_look
+from postfx.passes.tonemap import shaper
+from postfx.runtime import Device
 from postfx.system import models_dir
 
 PLANES = {"colour": 3, "diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1, "depth": 1,
           "motion": 2}
 """Inputs of a denoiser, (h, w, channels)."""
 LOOKS = ("aces2", "agx", "pbr_neutral")
-GRID = 16
-"""Render pixels that the padded sides are multiples of: a cell of the coarsest level."""
+NETWORKS = ("s", "m")
+SCALES = (1, 2)
 OPSET = 20
 
 
@@ -94,14 +97,13 @@ class Graph:
 class Places:
     """What the kernels read beside the planes: sizes, and which pixels a row or column means, made in the graph."""
 
-    def __init__(self, graph: Graph, colour: str, scale: int) -> None:
+    def __init__(self, graph: Graph, colour: str, scale: int, grid: int) -> None:
         self._graph = graph
         size = graph.op("Shape", colour)
         sides = [graph.op("Gather", size, graph.constant(axis)) for axis in (0, 1)]
         self.sides = sides
         self.outputs = [graph.op("Mul", side, graph.constant(scale)) for side in sides]
-        add, grid = graph.constant(GRID - 1), graph.constant(GRID)
-        self.padded = [graph.op("Mul", graph.op("Div", graph.op("Add", side, add), grid), grid) for side in sides]
+        self.padded = [graph.op("Mul", self._divided(side, grid), graph.constant(grid)) for side in sides]
 
     def counted(self, side: str, times: int = 1, over: int = 1) -> str:
         """0, 1, ... before `side`, in floats, times a number or divided by one and rounded down."""
@@ -118,13 +120,24 @@ class Places:
         return graph.op("Max", graph.op("Sub", last, beyond), graph.constant(0.0, np.float32))
 
     def level(self, axis: int, i: int) -> str:
-        """Side of a pyramid level."""
-        return self._graph.op("Div", self.padded[axis], self._graph.constant(2**i))
+        """Side of a pyramid level. Those that a network does not compute may end in half a cell."""
+        return self._divided(self.padded[axis], 2**i)
 
     def area(self, i: int) -> str:
         """Rows and columns of a pyramid level that lie in the frame."""
-        graph, up, by = self._graph, self._graph.constant(2**i - 1), self._graph.constant(2**i)
-        return self.floats(graph.op("Div", graph.op("Add", side, up), by) for side in self.sides)
+        return self.floats(self._divided(side, 2**i) for side in self.sides)
+
+    def alike(self, values: np.ndarray, i: int) -> str:
+        """A head of one value for all pixels, (1, channels, 1, 1), at each pixel of a pyramid level."""
+        graph, axis = self._graph, self._graph.constant([0])
+        sides = [graph.op("Unsqueeze", self.level(axis_of, i), axis) for axis_of in (0, 1)]
+        shape = graph.op("Concat", graph.constant(values.shape[:2]), *sides, axis=0)
+        return graph.op("Expand", graph.constant(values, np.float32), shape)
+
+    def _divided(self, side: str, by: int) -> str:
+        """A side divided by a number, rounded up."""
+        graph = self._graph
+        return graph.op("Div", graph.op("Add", side, graph.constant(by - 1)), graph.constant(by))
 
     def window(self) -> str:
         """The whole frame, as the kernels' `window`."""
@@ -145,10 +158,12 @@ class Places:
         return graph.op("ConstantOfShape", shape, value=helper.make_tensor("", TensorProto.FLOAT, [1], [0.0]))
 
 
-def save_denoiser(path: Path, scale: int) -> None:
-    """Write the denoiser `s` for first frames, of 1x or 2x their size."""
+def save_denoiser(path: Path, tag: str, scale: int) -> None:
+    """Write a denoiser for first frames, of 1x or 2x their size."""
     graph, models = Graph(), models_dir()
-    places = Places(graph, "colour", scale)
+    network = model_of(exact(tag), UNSCALED if scale == 1 else "")
+    grid = grid_of([network])
+    places = Places(graph, "colour", scale, grid)
     rows, columns = (places.counted(side) for side in places.sides)
     common = {name: name for name in (*PLANES, "params")} | {
         "window": places.window(), "part_rows": rows, "part_columns": columns, "seen_rows": places.mirrored(0),
@@ -170,8 +185,10 @@ def save_denoiser(path: Path, scale: int) -> None:
     assert ends[-1] == FEATURES
     parts = {name: channels(common["features"], first, end, 1)
              for name, first, end in zip(FEATURE_PARTS, ends, ends[1:], strict=False)}
-    network = "denoise_upscale.s.1x" if scale == 1 else "denoise_upscale.s"
     heads = graph.call(models / f"{network}.onnx", **parts)
+    state = load_network(Device("cpu"), network, free_dimensions((grid, grid)))
+    for name, values in alike_heads(state).items():
+        heads[name] = places.alike(values, int(name[-1]))
     doubts = doubts_planes(network)
     if doubts:
         common |= kernel("means")
@@ -201,7 +218,7 @@ def save_denoiser(path: Path, scale: int) -> None:
 
 def save_look(path: Path, tag: str) -> None:
     """Write a look: scene-linear colour (h, w, 3) and an exposure (1,) in, sRGB code values from 0 to 1 out."""
-    graph, (library, model) = Graph(), find_model(tag)
+    graph, (library, model) = Graph(), find_look(tag)
     cube = graph.call(models_dir() / f"{model}.onnx")["cube"]
     shape = shaper(library, model)
     params = graph.op("Concat", "exposure", graph.constant([shape.toe, shape.scale], np.float32), axis=0)
@@ -215,8 +232,8 @@ def save_look(path: Path, tag: str) -> None:
 def main(folder: Path) -> None:
     """Write all models of the page."""
     folder.mkdir(parents=True, exist_ok=True)
-    for scale in (1, 2):
-        save_denoiser(folder / f"denoise.{scale}x.onnx", scale)
+    for tag, scale in itertools.product(NETWORKS, SCALES):
+        save_denoiser(folder / f"denoise.{tag}.{scale}x.onnx", tag, scale)
     for tag in LOOKS:
         save_look(folder / f"look.{tag}.onnx", tag)
 

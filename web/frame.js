@@ -28,8 +28,9 @@ async function run(runtime, model, feeds) {
   return output;
 }
 
-/** Clean colour of a frame: { data, width, height }. `planes` are Float32Arrays by name; `scale` is 1 or 2. */
-export async function denoise(runtime, { planes, width, height, jitter = [0, 0] }, exposure, scale) {
+/** Clean colour of a frame: { data, width, height }. `planes` are Float32Arrays by name; `network` is s
+ * or m, `scale` 1 or 2. */
+export async function denoise(runtime, { planes, width, height, jitter = [0, 0] }, exposure, network, scale) {
   const feeds = { params: new runtime.ort.Tensor("float32", Float32Array.of(exposure, ...jitter, 1), [4]) };
   const hidden = planes.depth && showsVolume(planes.depth, width, height) ? HAZY : [];
   for (const [name, channels] of Object.entries(CHANNELS)) {
@@ -37,7 +38,7 @@ export async function denoise(runtime, { planes, width, height, jitter = [0, 0] 
     const data = given ?? new Float32Array(width * height * channels).fill(ABSENT[name] ?? 0);
     feeds[name] = new runtime.ort.Tensor("float32", cleaned(name, data), [height, width, channels]);
   }
-  const output = await run(runtime, `denoise.${scale}x`, feeds);
+  const output = await run(runtime, `denoise.${network}.${scale}x`, feeds);
   return { data: output.data, width: output.dims[1], height: output.dims[0] };
 }
 

@@ -49,18 +49,18 @@ async function process() {
   tell(`Denoising ${width}x${height} on the ${runtime.provider === "webgpu" ? "GPU" : "CPU"} ...`);
   await painted();
   const begin = performance.now();
-  clean = await denoised(scale);
+  clean = await denoised(options.network.value, scale);
   frame.seconds = (performance.now() - begin) / 1000;
   await draw();
 }
 
-async function denoised(scale) {
+async function denoised(network, scale) {
   try {
-    return await denoise(runtime, frame, 2 ** frame.stops, scale);
+    return await denoise(runtime, frame, 2 ** frame.stops, network, scale);
   } catch (error) {
     if (runtime.provider !== "webgpu") throw error;
     runtime = await loadRuntime("wasm"); // a driver may lack something
-    return denoise(runtime, frame, 2 ** frame.stops, scale);
+    return denoise(runtime, frame, 2 ** frame.stops, network, scale);
   }
 }
 
@@ -121,7 +121,7 @@ const shown = (work) => work.catch((error) => tell(error.message, "error"));
 
 $("file").addEventListener("change", async ({ target }) => shown(open(await target.files[0].arrayBuffer())));
 $("sample").addEventListener("click", async () => shown(open(await (await fetch("sample.exr")).arrayBuffer())));
-options.scale.addEventListener("change", () => frame && shown(process()));
+for (const name of ["network", "scale"]) options[name].addEventListener("change", () => frame && shown(process()));
 options.look.addEventListener("change", () => clean && shown(draw()));
 options.stops.addEventListener("change", () => clean && shown(draw()));
 options.zoom.addEventListener("change", () => clean && enlarge());

@@ -40,7 +40,7 @@ def read_error(path: Path) -> np.ndarray | None:
     return found
 
 
-def estimate_error(noisy: Frame, denoised: np.ndarray, exposure: float) -> np.ndarray:
+def estimate_error(noisy: Frame, denoised: np.ndarray, exposure_factor: float) -> np.ndarray:
     """Expected squared error of each pixel (height, width) of a denoised colour (height, width, 3) of a frame's size.
 
     Raises FrameError where sizes differ.
@@ -49,7 +49,7 @@ def estimate_error(noisy: Frame, denoised: np.ndarray, exposure: float) -> np.nd
     if colour.shape != denoised.shape:
         raise FrameError(f"{noisy.source or noisy.number}: is {colour.shape[1]}x{colour.shape[0]}, its denoised frame "
                          f"{denoised.shape[1]}x{denoised.shape[0]}: denoise it at the render's size")
-    before, after = (_busyness(to_codes(light, exposure)) for light in (colour, denoised))
+    before, after = (_busyness(to_codes(light, exposure_factor)) for light in (colour, denoised))
     found = SHARE * before**BEFORE_POWER * after**AFTER_POWER
     error: np.ndarray = found[:, :, 0].astype(np.float32)
     return error

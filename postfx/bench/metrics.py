@@ -25,7 +25,7 @@ FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
 """Names of the figures. More is better for psnr (dB) and ssim (up to 1), less for flip (0..1), relmse and flicker."""
 
 
-def grey_exposure(colour: np.ndarray) -> float:
+def grey_factor(colour: np.ndarray) -> float:
     """Multiplier that brings the log-average luminance to 0.18 (Reinhard 2002, with a floor of 0.1 % of the mean)."""
     luminance = colour @ LUMINANCE
     return float(KEY / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean()))))
@@ -54,10 +54,10 @@ def flip_map(picture: np.ndarray, reference: np.ndarray) -> tuple[float, np.ndar
     return float(mean), colours
 
 
-def relmse(colour: np.ndarray, reference: np.ndarray, exposure: float) -> float:
-    """Mean of (colour - reference)^2 / (reference^2 + 0.01 / exposure^2), without the worst 0.1 % of the pixels."""
+def relmse(colour: np.ndarray, reference: np.ndarray, exposure_factor: float) -> float:
+    """Mean of (colour - reference)^2 / (reference^2 + 0.01 / exposure_factor^2), without the worst 0.1 % of pixels."""
     result, wanted = np.nan_to_num(colour).astype(np.float64), reference.astype(np.float64)
-    error = np.square(result - wanted) / (np.square(wanted) + 1e-2 / exposure**2)
+    error = np.square(result - wanted) / (np.square(wanted) + 1e-2 / exposure_factor**2)
     pixels = np.sort(error.mean(-1).ravel())
     return float(pixels[: int(pixels.size * TRIMMED)].mean())
 
@@ -93,7 +93,7 @@ class SequenceScore:
 
     def __init__(self) -> None:
         self.frames: list[dict[str, Any]] = []
-        self._exposure: float | None = None
+        self._factor: float | None = None
         self._before: Pictures | None = None
 
     def add(self, result: np.ndarray, reference: Frame, noisy: Frame) -> None:
@@ -102,15 +102,15 @@ class SequenceScore:
         The exposure is the reference's, or else the one that makes the first reference mid grey.
         """
         target = reference[Role.COLOUR]
-        self._exposure = self._exposure or grey_exposure(target)
-        exposure = reference.exposure or self._exposure
-        now = Pictures(to_codes(result, exposure), to_codes(target, exposure))
+        self._factor = self._factor or grey_factor(target)
+        factor = reference.exposure_factor or self._factor
+        now = Pictures(to_codes(result, factor), to_codes(target, factor))
         self.frames.append({
             "frame": noisy.number,
             "psnr": psnr(now.result, now.reference),
             "ssim": ssim(now.result, now.reference),
             "flip": flip(now.result, now.reference),
-            "relmse": relmse(result, target, exposure),
+            "relmse": relmse(result, target, factor),
             "flicker": self._flicker(now, noisy),
             "not_finite": int(result.size - np.isfinite(result).sum()),
         })

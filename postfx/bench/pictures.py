@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter
 
 from postfx.bench.measure import Material
 from postfx.bench.methods import FAMILIES
-from postfx.bench.metrics import grey_exposure, psnr
+from postfx.bench.metrics import grey_factor, psnr
 from postfx.bench.report import choices
 from postfx.colour.views import to_codes
 from postfx.files import atomic_file
@@ -132,13 +132,13 @@ def _side(shape: tuple[int, ...]) -> int:
 def _columns(material: Material, rows: list[dict[str, Any]], number: int) -> list[Column]:
     reference = material.reference(number)
     first = material.reference(material.noisy.numbers[0])
-    exposure = reference.exposure or grey_exposure(first[Role.COLOUR])
-    target = to_codes(reference[Role.COLOUR], exposure)
-    noisy = to_codes(_repeat(material.motion(number)[Role.COLOUR], *material.size), exposure)
+    factor = reference.exposure_factor or grey_factor(first[Role.COLOUR])
+    target = to_codes(reference[Role.COLOUR], factor)
+    noisy = to_codes(_repeat(material.motion(number)[Role.COLOUR], *material.size), factor)
     columns = [Column("noisy input", noisy, False)]
     for row in _choose_methods(rows):
         result = material.result(row["output"], number)[Role.COLOUR]
-        columns.append(Column(row["title"], to_codes(result, exposure)))
+        columns.append(Column(row["title"], to_codes(result, factor)))
     return [*columns, Column("reference", target, False)]
 
 

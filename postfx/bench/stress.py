@@ -94,9 +94,9 @@ def stress(frames: Sequence[Frame], device: Device, models: Sequence[str] | None
         for case, change in HARD.items():
             denoise.reset()
             hard = [*map(change, given[:-1]), given[-1]]
-            results = [(denoise(frame)[Role.COLOUR], denoise.exposure) for frame in hard]
+            results = [(denoise(frame)[Role.COLOUR], denoise.exposure_factor) for frame in hard]
             shown = [show(Frame({Role.COLOUR: colour}))[Role.COLOUR] for colour, _ in results]
-            highest = float(np.max([colour.max() * exposure for colour, exposure in results]))
+            highest = float(np.max([colour.max() * factor for colour, factor in results]))
             lowest = float(np.min([colour.min() for colour, _ in results]))
             well = 0 <= lowest and highest <= BRIGHTEST and all(0 <= one.min() and one.max() <= 1 for one in shown)
             yield Outcome(model, case, highest, bool(well))

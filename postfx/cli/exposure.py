@@ -29,7 +29,7 @@ passed on, inverted, in stops, late or feeding back.
 The board covers the picture, so the denoiser does not run: a frame takes the time to read its colour.
 
 For a tone mapper or a grade outside postfx, 'POSTFX_EXPOSURE_TOOL=1 postfx run ...' writes frames that hold the
-checkerboard, divided by each frame's exposure, which is in the headers (postfx:exposureUsed). Take them through your
+checkerboard, divided by each frame's exposure, which is in the headers (postfx:exposureUsedEV). Take them through your
 chain and give the results to --graded. A chart (--chart) that goes through your tone mapper at 0 EV shows its curve
 (--response); without it, levels are compared with the curve of --tonemap.
 """
@@ -206,9 +206,9 @@ class ExposureCheck:
         self._sequence.rewind()
         for reading in self._report.readings:
             frame = self._sequence.read(reading.number, plan.planes, plan.guides)
-            exposure = 2.0**reading.exposure_ev
-            clean = replace(denoise(replace(frame, exposure=exposure)), exposure=exposure)
-            for name, pixels in _views(clean, view(clean)[Role.COLOUR], exposure):
+            stops = reading.exposure_ev
+            clean = replace(denoise(replace(frame, exposure=stops)), exposure=stops)
+            for name, pixels in _views(clean, view(clean)[Role.COLOUR], 2.0**stops):
                 path = folder / f"{name}.{reading.number:04d}.png"
                 save_png(path, pixels)
                 yield path
@@ -222,12 +222,12 @@ class ExposureCheck:
         return [create("tonemap", **({"tag": tag} if tag else {}))]
 
 
-def _views(clean: Frame, display: np.ndarray, exposure: float) -> Iterator[tuple[str, np.ndarray]]:
+def _views(clean: Frame, display: np.ndarray, exposure_factor: float) -> Iterator[tuple[str, np.ndarray]]:
     from postfx.colour.views import false_colour, log_c, luma, zebra
     from postfx.frame import Role
     from postfx.report.charts import add_key
 
-    signals = {"log_c": log_c(luma(clean[Role.COLOUR]) * exposure), "display": luma(display)}
+    signals = {"log_c": log_c(luma(clean[Role.COLOUR]) * exposure_factor), "display": luma(display)}
     for name, signal in signals.items():
         yield f"false_colour_{name}", add_key(false_colour(signal))
     yield "zebra", zebra(display)

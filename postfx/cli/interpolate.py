@@ -329,13 +329,13 @@ class Interpolation:
         """Keep the PSNR of a new frame."""
         if self._reference is None or not moment.t or not self._reference.holds(moment.number):
             return
-        from postfx.bench.metrics import grey_exposure, psnr
+        from postfx.bench.metrics import grey_factor, psnr
         from postfx.colour.views import to_codes
         from postfx.frame import Role
 
         wanted = self._reference.read(moment.number)[Role.COLOUR]
-        exposure = frame.exposure or grey_exposure(wanted)
-        shown = [to_codes(colour, exposure) for colour in (frame[Role.COLOUR], wanted)]
+        factor = frame.exposure_factor or grey_factor(wanted)
+        shown = [to_codes(colour, factor) for colour in (frame[Role.COLOUR], wanted)]
         self.summary.psnr[moment.number] = round(psnr(*shown), 3)
 
 

@@ -58,7 +58,7 @@ class Standin:
         except MissingPlaneError:
             frame = self._sequence.read(number, (Role.COLOUR,))
         result = self._pipeline(frame)
-        return FrameResult(frame, result, self._pipeline.exposure, bad_pixels=self._pipeline.bad_pixels)
+        return FrameResult(frame, result, self._pipeline.exposure_factor, bad_pixels=self._pipeline.bad_pixels)
 
 
 class Faults:

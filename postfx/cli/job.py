@@ -63,11 +63,13 @@ from postfx.runs.run import Options, Run, provenance_of
 from postfx.runs.schedule import Work
 from postfx.runtime import Device
 from postfx.temporal.reverse_order import Backwards
+from postfx.wrap import AROUND, AUTO, NONE, is_panorama
 
 if TYPE_CHECKING:
     from postfx.cli.report import RunReport
     from postfx.doctor.first_frames import FirstFrames
     from postfx.doctor.inspection import Inspection
+    from postfx.report.live import LiveViewer
     from postfx.report.page import FrameCapture
 
 NOWHERE = "nowhere to write: give -o OUTPUT, e.g. -o out/clean.####.exr"
@@ -113,14 +115,16 @@ class Job:
                                                 "shows more of the textures"))
         both_ways = arguments.both_ways and arguments.strength != 0 and not covered
         backwards = {**self._values("denoiser"), "error": False}  # which that of the last run tells
+        wrap = self._find_wrap()
         self._backwards = Backwards(self.sequence, device, exposure if self._smooth else arguments.exposure, cuts,
-                                    **backwards) if both_ways else None
+                                    wrap=wrap, **backwards) if both_ways else None
         self._run_up = None if covered else make_run_up(arguments, self.sequence, cuts)
         self._parts = self._find_parts()
         self._partner = None if covered or arguments.strength == 0 else find_partner(getattr(arguments, "with"))
         passes, skips = self._passes(denoising, self._backwards is not None, self._partner)
         self.skips += skips
-        self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False)  # it has its own
+        self.pipeline = Pipeline(passes, device, exposure, cuts, self._run_up, checks=False,  # it has its own
+                                 wrap=wrap)
         refuse_views(self.sequence, self.outputs)
         if self.outputs and not arguments.explain:  # after all options, whose mistakes matter more
             self.outputs.check(self.sequence.numbers)
@@ -148,6 +152,7 @@ class Job:
         self._faults = Faults(policy, standin)
         self._warnings: list[str] = []
         self._capture = self._make_capture(device) if arguments.capture else None
+        self._viewer = self._find_viewer()
         self._page = self._make_page() if arguments.report else None
         self._seconds, self._preparation = 0.0, Preparation()
         self._exposure = ExposureUsed(str(arguments.exposure), self._is_exposed)
@@ -171,10 +176,24 @@ class Job:
             albedo = files.read(self.first, [Role.DIFFUSE_ALBEDO], []).planes.get(Role.DIFFUSE_ALBEDO)
         return albedo is not None and bool(albedo[0, 0].any() and (albedo == albedo[0, 0]).all())
 
+    def _find_wrap(self) -> str:
+        """Whether frames are panoramas, by the option or the first frame's header, as the pipeline names it."""
+        if self._arguments.wrap != AUTO:
+            return str(self._arguments.wrap)
+        with self.sequence.open(self.first) as files:
+            return AROUND if is_panorama(files.layout.attributes) else NONE
+
     def _make_capture(self, device: Device) -> FrameCapture:
         from postfx.report.page import FrameCapture  # loads pages, which other runs need not wait for
 
         return FrameCapture(device, check=not self._arguments.explain, **self._values("capture"))
+
+    def _find_viewer(self) -> LiveViewer | None:
+        if self._arguments.live is None or self._arguments.explain:
+            return None
+        from postfx.report.live import LiveViewer  # loads sockets, which other runs need not wait for
+
+        return LiveViewer(self._arguments.live)
 
     def _make_page(self) -> RunReport:
         from postfx.cli.report import RunReport  # loads the doctor and charts, which other runs need not wait for
@@ -195,7 +214,7 @@ class Job:
             return ExposureUsed(mode, self._is_exposed)
         frame = own.read(self.first, (Role.COLOUR,), ())
         used = {self.first: ExposureMeter(mode)(frame)}
-        return ExposureUsed(mode, True, used, {self.first: frame.exposure or 1.0})
+        return ExposureUsed(mode, True, used, {self.first: frame.exposure_factor or 1.0})
 
     @property
     def _is_exposed(self) -> bool:
@@ -230,6 +249,9 @@ class Job:
                 begin = progress.start(len(run.skips))
                 self._process_all(run, stop, progress)
         finally:
+            if self._viewer:
+                self._viewer.close()
+                self._tell(filter(None, [self._viewer.notice()]), progress.note)
             later = self._watch.seconds - self._preparation.compile_seconds
             self._seconds = time.perf_counter() - begin - later if begin else 0.0
             self._preparation = Preparation(self._preparation.seconds + later, self._watch.seconds, self._watch.count)
@@ -245,6 +267,9 @@ class Job:
         self._tell_noticed(number, tell)
         for path, picture in self._files().split(result):
             write_frame(path, picture, relax=self._relax, **self._format)
+            if self._viewer:
+                self._viewer.show(str(path), picture)
+                self._tell(filter(None, [self._viewer.notice()]), tell)
         return self._files().path(number)
 
     def report(self, failure: BaseException | None = None) -> Report:
@@ -445,7 +470,8 @@ class Job:
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
-        done = FrameResult(frame, result, passes.exposure, passes.cut, milliseconds, passes.timings, passes.bad_pixels)
+        done = FrameResult(frame, result, passes.exposure_factor, passes.cut, milliseconds, passes.timings,
+                           passes.bad_pixels)
         if work.write:
             self._note(done, milliseconds)
         return done
@@ -464,8 +490,8 @@ class Job:
                 self._choices.setdefault(step.name, Counter())[choice] += 1
 
     def _write(self, run: Run, done: FrameResult, progress: FrameProgress) -> None:
-        number, result, used = done.source.number, done.result, done.exposure
-        told = {} if used is None else {APPLIED if self._is_exposed else USED: used}
+        number, result, used = done.source.number, done.result, done.exposure_factor
+        told = {} if used is None else {APPLIED if self._is_exposed else USED: log2(used)}
         facts, paths = done.facts(), []
         for path, picture in self._files().split(result):
             write = partial(write_frame, path, picture, relax=self._relax, provenance={**run.header(), **told},
@@ -473,10 +499,13 @@ class Job:
             if self._faults.attempt(number, True, write) is None:
                 return
             run.note_output(number, path, picture, **facts)
+            if self._viewer:
+                self._viewer.show(str(path), picture)
+                self._tell(filter(None, [self._viewer.notice()]), progress.note)
             facts = {}  # those of a frame are told once
             paths.append(str(path))
         if used is not None:
-            self._exposure.multipliers[number], self._exposure.lit[number] = used, done.header_exposure
+            self._exposure.multipliers[number], self._exposure.lit[number] = used, done.header_factor
         self._written, self._frames = self._written + paths, self._frames + 1
         progress.advance(" ".join(paths))
         if self._arguments.verbose:

@@ -63,22 +63,22 @@ class RunReport:
         frame = done.source
         cut = done.cut or frame.reset or not self._follows(frame.number)
         metered = measure(frame[Role.COLOUR])
-        exposure = done.exposure or 2.0 ** (metered or 0.0)
-        readings = {"exposure used": float(np.log2(exposure)), "exposure metered": metered}
+        factor = done.exposure_factor or 2.0 ** (metered or 0.0)
+        readings = {"exposure used": float(np.log2(factor)), "exposure metered": metered}
         timed = {"ms passes": done.milliseconds} if self._log.rows else {}  # the first one compiles
         pictures: dict[str, np.ndarray] = {}
         motions: dict[str, np.ndarray | None] = {}
         maps: dict[str, np.ndarray] = {}
         sources, results = (frame, *frame.views.values()), (done.result, *done.result.views.values())
         for view, source, result in zip(self._views or (None,), sources, results, strict=True):
-            own = self._pictures(view, source, result, exposure, cut)
-            found = self._compare(own, exposure)
+            own = self._pictures(view, source, result, factor, cut)
+            found = self._compare(own, factor)
             pictures |= {_label(name, view): light for name, light in own.items()}
             motions |= {_label(name, view): source.planes.get(Role.MOTION) for name in own}
             if found:
                 readings |= {_label(name, view): value for name, value in found.figures.items()}
                 maps[_label("FLIP", view)] = found.flip
-        self._log.add(frame.number, pictures, exposure, motions, cut, readings | timed, maps)
+        self._log.add(frame.number, pictures, factor, motions, cut, readings | timed, maps)
 
     def write(self, report: Report, plan: str) -> Report:
         """Write the page on the frames seen, with the text of the `plan`; returns the report with the page's path."""
@@ -98,7 +98,7 @@ class RunReport:
         return bool(self._log.rows) and self._sequence.before(number, 1) == [self._log.rows[-1].number]
 
     def _pictures(
-        self, view: str | None, frame: Frame, result: Frame, exposure: float, cut: bool
+        self, view: str | None, frame: Frame, result: Frame, exposure_factor: float, cut: bool
     ) -> dict[str, np.ndarray]:
         """Pictures of one size, shown in the same way: a view before, after and, if there is one, its reference."""
         after = result[Role.COLOUR]
@@ -107,11 +107,11 @@ class RunReport:
         scene = {"before": before}
         reference = self._references.colour(frame.number, view) if self._references else None
         scene |= {"reference": reference} if reference is not None and reference.shape == after.shape else {}
-        shown = {name: self._display(_label(name, view), light, frame, exposure, cut)
+        shown = {name: self._display(_label(name, view), light, frame, exposure_factor, cut)
                  for name, light in scene.items()}
         return {"before": shown.pop("before"), "after": _light_of(result), **shown}
 
-    def _display(self, name: str, light: np.ndarray, frame: Frame, exposure: float, cut: bool) -> np.ndarray:
+    def _display(self, name: str, light: np.ndarray, frame: Frame, exposure_factor: float, cut: bool) -> np.ndarray:
         """Scene-linear light through the passes that made the output a display's, each picture with its own history."""
         if not self._look.display:
             return light
@@ -119,13 +119,14 @@ class RunReport:
             shown = [step for step in self._plan.steps if step.reflection.output.encoding != step.input.encoding]
             passes = [type(step.instance)(**step.instance.options) for step in shown]
             self._displays[name] = Pipeline(passes, self._pipeline.device, "metadata", cuts="none")
-        one = Frame({Role.COLOUR: light}, frame.number, exposure=exposure, reset=cut, metadata=frame.metadata)
+        stops = float(np.log2(exposure_factor))
+        one = Frame({Role.COLOUR: light}, frame.number, exposure=stops, reset=cut, metadata=frame.metadata)
         return _light_of(self._displays[name](one))
 
-    def _compare(self, pictures: dict[str, np.ndarray], exposure: float) -> Comparison | None:
+    def _compare(self, pictures: dict[str, np.ndarray], exposure_factor: float) -> Comparison | None:
         if "reference" not in pictures:
             return None
-        return measure_errors({name: self._look.codes(light, exposure) for name, light in pictures.items()})
+        return measure_errors({name: self._look.codes(light, exposure_factor) for name, light in pictures.items()})
 
 
 def write_inspection(inspection: Inspection, path: str) -> None:

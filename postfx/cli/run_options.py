@@ -454,6 +454,9 @@ READING = Section("reading and running", (
            convert=parse_cuts,
            help="where shots begin; no frame then uses those of another shot: auto, found by headers and pictures "
            "(default); none; or frame numbers, e.g. 1,48,90"),
+    Option(flag="--wrap", choices=("auto", "x", "none"), default="auto", off="auto",
+           help="panoramas, whose left and right edge meet without a seam: x; none, for other pictures; auto, as the "
+           "header says (default)"),
     Option(flag="--device", choices=("auto", "cpu", "cuda"), default="auto", sets="device.name", help="where to run"),
     Option(flag="--provider", once=True, metavar="NAME[,OPTION=VALUE...]", sets="device.provider", changes="rounding",
            help="run networks on an execution provider of ONNX Runtime, with options of its own, e.g. "
@@ -484,6 +487,8 @@ REPORTS = Section("reports", (
     Option(flag="--verbose", short="-v", either="words", changes="nothing",
            help="also print what is going to run, and the time of each pass in each frame"),
     Option(flag="--json", once=True, changes="nothing", help="print one JSON object on standard output at the end"),
+    Option(flag="--live", once=True, metavar="tev[:HOST[:PORT]]", changes="nothing",
+           help="send each frame to the viewer tev as it is made; a viewer that is missing or closed stops nothing"),
     Option(flag="--report", once=True, metavar="HTML", type=parse_path, sets="page.path", changes="nothing",
            excludes={"--memory": "--report keeps whole frames in memory: leave --memory out"},
            help="write an HTML page that needs no network: before and after with an exposure slider, curves over the "

@@ -251,7 +251,7 @@ class FrameResult:
     Attributes:
         source: as it was read.
         result: as it is written.
-        exposure: multiplier that was used; None if no pass ran.
+        exposure_factor: what light was multiplied by; None if no pass ran.
         cut: whether its picture was found to begin a shot.
         milliseconds: in the passes; None for a stand-in.
         passes: pass name -> milliseconds on the device.
@@ -260,22 +260,23 @@ class FrameResult:
 
     source: Frame
     result: Frame
-    exposure: float | None
+    exposure_factor: float | None
     cut: bool = False
     milliseconds: float | None = None
     passes: Mapping[str, float] = field(default_factory=dict)
     bad_pixels: Mapping[Role, int] = field(default_factory=dict)
 
     @property
-    def header_exposure(self) -> float:
-        """The multiplier that the header asks for, else 1."""
-        return self.source.exposure or 1.0
+    def header_factor(self) -> float:
+        """What the header asks light to be multiplied by, else 1."""
+        return self.source.exposure_factor or 1.0
 
     def facts(self) -> dict[str, Any]:
         """What the log says."""
         passes = {name: round(elapsed, 3) for name, elapsed in self.passes.items()}
         took = None if self.milliseconds is None else round(self.milliseconds, 3)
-        return {"ms": took, "passes": passes, "exposure": self.exposure, "cut": self.cut,
+        stops = None if self.exposure_factor is None else log2(self.exposure_factor)
+        return {"ms": took, "passes": passes, "exposure_ev": stops, "cut": self.cut,
                 "broken": dict(self.bad_pixels)}
 
 

@@ -141,10 +141,11 @@ def luma(rgb: np.ndarray) -> np.ndarray:
     return rgb @ LUMA
 
 
-def to_codes(colour: np.ndarray, exposure: float) -> np.ndarray:
-    """sRGB code values 0..1 of x / (1 + x), x = colour * exposure, to compare pictures; non-finite values count as
+def to_codes(colour: np.ndarray, exposure_factor: float) -> np.ndarray:
+    """sRGB code values 0..1 of x / (1 + x), x = colour * exposure_factor, to compare pictures; non-finite values count
+    as
     0."""
-    exposed = np.maximum(np.nan_to_num(colour * exposure), 0)
+    exposed = np.maximum(np.nan_to_num(colour * exposure_factor), 0)
     return srgb_encode(exposed / (1 + exposed))
 
 

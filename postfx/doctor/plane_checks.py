@@ -416,7 +416,7 @@ UNUSUAL_EV = 8.0
 
 def _jumps(frames: list[Frame], metered: dict[int, float]) -> Iterator[Finding]:
     """Frames of one shot that are suddenly brighter or darker, by colour or by the header's exposure."""
-    bright = {frame.number: math.log2(frame.exposure) if frame.exposure and 0 < frame.exposure < math.inf else 0.0
+    bright = {frame.number: frame.exposure if frame.exposure is not None and math.isfinite(frame.exposure) else 0.0
               for frame in frames}
     for before, now in zip(frames, frames[1:], strict=False):
         if now.reset or before.number not in metered or now.number not in metered:
@@ -440,19 +440,19 @@ def check_exposure_mismatch(material: Material) -> Iterator[Finding]:
                       "layer's colour", "check that the colour plane is the beauty pass")
     yield from _jumps(frames, metered)
     headers = {frame.number: frame.exposure for frame in frames if frame.exposure is not None}
-    if any(not 0 < value < math.inf for value in headers.values()):
-        yield error("sequence", "exposure-invalid", f"exposure in the header: {next(iter(headers.values()))}",
-                    "an EV was written instead of a multiplier", "write a positive multiplier: 2 ** EV")
+    if any(not math.isfinite(value) for value in headers.values()):
+        yield error("sequence", "exposure-invalid", f"exposure in the header: {next(iter(headers.values()))} EV",
+                    "stops were written as postfx:exposure, which is a factor", "write stops as postfx:exposureEV")
         return
-    offs = [math.log2(headers[number]) - metered[number] for number in metered if number in headers]
+    offs = [headers[number] - metered[number] for number in metered if number in headers]
     if offs and abs(off := float(np.median(offs))) > MISMATCH_EV:
         number = next(number for number in metered if number in headers)
-        evidence = (f"the header's exposure is {headers[number]:.3g} ({math.log2(headers[number]):+.2f} EV), metering "
-                    f"wants {2 ** metered[number]:.3g} ({metered[number]:+.2f} EV): {off:+.2f} EV")
+        evidence = (f"the header's exposure is {headers[number]:+.2f} EV, metering wants {metered[number]:+.2f} EV: "
+                    f"{off:+.2f} EV")
         result = "bright" if off > 0 else "dark"
         yield warning("sequence", "exposure-mismatch", evidence, f"pictures would be too {result}: colour was scaled "
-                      "after the exposure was set, or the exposure belongs to another camera", "write the multiplier "
-                      "that brings mid grey to 0.18, or use --exposure auto")
+                      "after the exposure was set, or the exposure belongs to another camera", "write the stops that "
+                      "bring mid grey to 0.18, or use --exposure auto")
     elif not headers and metered and abs(ev := float(np.median(list(metered.values())))) > UNUSUAL_EV:
         yield info("sequence", "exposure-unusual", f"metering wants {ev:+.2f} EV", "physical light units without a "
-                   "camera's exposure", "nothing to do with --exposure auto; else write postfx:exposure")
+                   "camera's exposure", "nothing to do with --exposure auto; else write postfx:exposureEV")

@@ -15,7 +15,7 @@ import numpy as np
 
 from postfx.errors import ExposureError, PostfxError
 from postfx.files import read_ahead
-from postfx.frame import Frame, Role
+from postfx.frame import Frame, Role, factor_of_stops
 from postfx.kernels.statistics import block_means
 
 if TYPE_CHECKING:
@@ -31,10 +31,12 @@ BLOCK, MOST_BLOCKS = 8, 160
 BRIGHTEN_SECONDS, DARKEN_SECONDS = 1.0, 0.4  # eyes and cameras close faster than they open
 FRAMES_PER_SECOND = 24.0
 MODES = ("auto", "lit", "metadata")
-USED = "postfx:exposureUsed"
-"""Header attribute with the multiplier that a run used, for later programs; the author's own is postfx:exposure."""
-APPLIED = "postfx:exposureApplied"
-"""The attribute's name if the pixels already include the multiplier."""
+USED = "postfx:exposureUsedEV"
+"""Header attribute with the stops that a run used, for later programs; the author's own is postfx:exposureEV."""
+APPLIED = "postfx:exposureAppliedEV"
+"""The attribute's name if the pixels already include the exposure."""
+USED_FACTOR = "postfx:exposureUsed"
+"""What versions before wrote in place of `USED`: what light is multiplied by."""
 
 SMOOTH = "smooth"
 SECONDS = 0.5
@@ -67,8 +69,8 @@ class ExposureMeter:
 
     mode: 'auto' meters each picture and follows it smoothly in EV, slower towards brighter (1 s) than towards
     darker (0.4 s), but at once on the first frame and at cuts (`frame.reset`); a black frame keeps the shot's last
-    value. 'lit' shows the light as its author made it: `frame.exposure`, or 1 if the header has none. 'metadata' is an
-    error if the header has none, unless an earlier run wrote the frame: then it takes that run's multiplier (`USED`).
+    value. 'lit' shows the light as its author made it: `frame.exposure`, or 0 if the header has none. 'metadata' is an
+    error if the header has none, unless an earlier run wrote the frame: then it takes that run's stops (`USED`).
     A number is an EV: the multiplier is 2 ** EV.
     """
 
@@ -98,7 +100,7 @@ class ExposureMeter:
         if self.mode == "lit" and frame.exposure is None:
             return 1.0
         if self.mode in ("lit", "metadata"):
-            return _header_exposure(frame)
+            return _header_factor(frame)
         if self.mode == "auto":
             return float(2.0 ** self._follow(frame))
         return factor_of(self.mode)
@@ -144,14 +146,24 @@ def _fixed_ev(mode: str | float) -> float:
     return ev
 
 
-def _header_exposure(frame: Frame) -> float:
+def _header_factor(frame: Frame) -> float:
     name = frame.source or f"frame {frame.number}"
-    exposure = frame.metadata.get(USED) if frame.exposure is None else frame.exposure
-    if exposure is None:
-        raise ExposureError(f"{name}: no exposure in its header (postfx:exposure): use --exposure auto or an EV number")
-    if not isinstance(exposure, int | float) or not 0 < exposure < math.inf:
-        raise ExposureError(f"{name}: exposure {exposure} in its header is not a positive number: use --exposure auto")
-    return float(exposure)
+    factor = _factor_used(frame) if frame.exposure is None else frame.exposure_factor
+    if factor is None:
+        raise ExposureError(f"{name}: no exposure in its header (postfx:exposureEV): use --exposure auto or an EV "
+                            "number")
+    if not 0 < factor < math.inf:
+        raise ExposureError(f"{name}: exposure {frame.exposure} in its header is no number of stops: use --exposure "
+                            "auto")
+    return factor
+
+
+def _factor_used(frame: Frame) -> float | None:
+    """What an earlier run multiplied a frame's light by; NaN for what is no number."""
+    stops, factor = (frame.metadata.get(name) for name in (USED, USED_FACTOR))
+    if stops is not None:
+        return factor_of_stops(stops) if isinstance(stops, int | float) else math.nan
+    return factor if factor is None or isinstance(factor, int | float) else math.nan
 
 
 class MeterReading(NamedTuple):

@@ -145,10 +145,11 @@ def debug(
     seen = Board(view, told.aspect, device)
     tested = seen if chain is None else Board(chain, told.aspect, device)
     judged = _judge_chain(view, seen, tested)
-    levels = [tested.level(*frame.multipliers, frame.begins) for frame in told.frames]
+    levels = [tested.level(frame.exposure_ev, frame.reference_ev, frame.begins) for frame in told.frames]
     expected = [float(np.clip(frame.ordered_ev, *judged.response.limits_ev)) for frame in told.frames]
     if judged.curve == VIEW:  # the view's own history is no mistake
-        wanted = levels if tested is seen else [seen.level(*frame.multipliers, frame.begins) for frame in told.frames]
+        wanted = levels if tested is seen else [
+            seen.level(frame.exposure_ev, frame.reference_ev, frame.begins) for frame in told.frames]
         expected = [judged.response.ev_of(level) for level in wanted]
     return _report(told.frames, levels, judged, list(map(judged.response.ev_of, levels)), expected)
 
@@ -167,7 +168,7 @@ def debug_graded(
         level: frame number -> level of mid grey on its graded board, such as
             `postfx.exposure.response.GradedBoards.level`.
         judged: the response that levels are compared with: `postfx.exposure.response.read_response` or `judge_view`.
-        exposure: the exposure of the run that wrote the boards, by which it divided them.
+        exposure: mode or stops of the run that wrote the boards, by which it divided them.
 
     Raises ExposureError as `debug` does, and if a frame has no board.
     """
@@ -201,10 +202,6 @@ class _Frame(NamedTuple):
     exposure_ev: float
     reference_ev: float
     picture_ev: float
-
-    @property
-    def multipliers(self) -> tuple[float, float]:
-        return 2.0**self.exposure_ev, 2.0**self.reference_ev
 
     @property
     def ordered_ev(self) -> float:

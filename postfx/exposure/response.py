@@ -59,9 +59,9 @@ class Board:
         self._pipeline = Pipeline([tool, *passes], device, "metadata")
 
     def level(self, exposure: float, reference: float, cut: bool) -> float:
-        """Level of mid grey on the board divided by `reference`, when the chain is told to multiply by `exposure`."""
+        """Level of mid grey on the board for `reference` stops, when the chain is told of `exposure` stops."""
         number = len(self._reference)
-        self._reference[number] = reference
+        self._reference[number] = 2.0**reference
         frame = Frame({Role.COLOUR: self._blank}, number=number, exposure=exposure, reset=cut)
         return grey_level(self._pipeline(frame)[Role.COLOUR])
 
@@ -100,7 +100,7 @@ class Response:
     @classmethod
     def of_board(cls, board: Board) -> Response:
         """The response of a chain to a ramp of light at 0 EV."""
-        return cls(STEPS_EV, [board.level(1.0, 2.0**-ev, cut=True) for ev in STEPS_EV])
+        return cls(STEPS_EV, [board.level(0.0, -ev, cut=True) for ev in STEPS_EV])
 
     @classmethod
     def of_curve(cls, curve: Callable[[np.ndarray], np.ndarray]) -> Response:
@@ -214,12 +214,12 @@ UNEVEN, LEAST = 0.35, 0.01
 def write_chart(path: str | PathLike[str]) -> Path:
     """Write the chart as an EXR: mid grey times 2^-8 to 2^8 in steps of a quarter stop from left to right.
 
-    Its header gives an exposure of 1. Raises WriteError.
+    Its header gives an exposure of 0 stops. Raises WriteError.
     """
     steps = np.repeat(KEY * np.exp2(STEPS_EV), STEP).astype(np.float32)
     colour = np.ascontiguousarray(np.broadcast_to(steps[None, :, None], (CHART_HEIGHT, steps.size, 3)))
-    frame = Frame({Role.COLOUR: colour}, metadata={"postfx:exposure": 1.0})
-    return write_frame(path, frame, bits=32, provenance={USED: 1.0})
+    frame = Frame({Role.COLOUR: colour}, metadata={"postfx:exposureEV": 0.0})
+    return write_frame(path, frame, bits=32, provenance={USED: 0.0})
 
 
 def read_response(path: str | PathLike[str]) -> Calibration:

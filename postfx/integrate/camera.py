@@ -171,17 +171,16 @@ def jitter_sequence(count: int) -> np.ndarray:
 
 
 def exposure_hint(colour: np.ndarray) -> float | None:
-    """Multiplier > 0 that brings a picture to mid grey, for `Frame.exposure`; None for a black one.
+    """Stops that bring a picture to mid grey, for `Frame.exposure`; None for a black one.
 
     colour: (height, width, 3) scene-linear; measured as `postfx.exposure.measure` does. Hold it over a shot: take the
     first frame's, or the median of all.
     """
-    ev = measure(np.ascontiguousarray(colour, np.float32))
-    return None if ev is None else 2.0**ev
+    return measure(np.ascontiguousarray(colour, np.float32))
 
 
 def exposure_of_camera(f_number: float, shutter: float, iso: float = 100.0) -> float:
-    """Multiplier > 0 for colours in cd/m^2: luminance * multiplier is 1 where the sensor saturates.
+    """Stops for colours in cd/m^2, for `Frame.exposure`: luminance * 2 ** stops is 1 where the sensor saturates.
 
     shutter: seconds. The sensor saturates at 1.2 * 2^EV100 with EV100 = log2(f_number^2 / shutter * 100 / iso)
     (ISO 12232, saturation-based speed; Lagarde and de Rousiers 2014, "Moving Frostbite to Physically Based Rendering").
@@ -189,7 +188,7 @@ def exposure_of_camera(f_number: float, shutter: float, iso: float = 100.0) -> f
     """
     if min(f_number, shutter, iso) <= 0:
         raise IntegrationError(f"f/{f_number:g}, {shutter:g} s, ISO {iso:g}: give positive numbers")
-    return 1 / (1.2 * f_number**2 / shutter * 100 / iso)
+    return -math.log2(1.2 * f_number**2 / shutter * 100 / iso)
 
 
 # Motion vectors.

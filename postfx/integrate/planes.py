@@ -68,11 +68,11 @@ def write_planes(path: str | PathLike[str], frame: Frame) -> Path:
 def frame_header(frame: Frame) -> dict[str, Any]:
     """Header attributes that tell postfx about a frame: name -> number, pair or (4, 4) matrix.
 
-    `postfx:jitter` and `postfx:reset` always; `postfx:exposure`, `postfx:spp`, `postfx:fovX` (degrees) and
+    `postfx:jitter` and `postfx:reset` always; `postfx:exposureEV` (stops), `postfx:spp`, `postfx:fovX` (degrees) and
     `worldToCamera` (row vectors) where the frame has them.
     """
     known = {
-        "postfx:exposure": frame.exposure,
+        "postfx:exposureEV": frame.exposure,
         "postfx:spp": frame.samples,
         "postfx:fovX": frame.fov_x,
         "worldToCamera": frame.world_to_camera,

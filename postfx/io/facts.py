@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.frame import pixel_aspect
+from postfx.frame import pixel_aspect, stops_of_factor
 from postfx.io.colours import INTEROP, gather_attributes, is_given
 from postfx.io.convert import Camera
 from postfx.io.image_file import ImageFile
@@ -85,6 +85,11 @@ class Facts:
         """Sample position minus 0.5 in pixels, x right, y down."""
         found = self.numbers("jitter", 2)
         return (0.0, 0.0) if found is None else (float(found[0]), float(found[1]))
+
+    def exposure(self) -> float | None:
+        """The author's exposure in stops. Versions before wrote a factor."""
+        stops, factor = self.number("exposure_ev"), self.number("exposure")
+        return stops if stops is not None or factor is None else stops_of_factor(factor)
 
     def camera(self) -> Camera:
         """The camera, with the profile's numbers where the header says none."""

@@ -396,7 +396,7 @@ class FrameFiles:
             planes,
             number=number,
             jitter=camera.jitter,
-            exposure=facts.number("exposure"),
+            exposure=facts.exposure(),
             reset=bool(facts.number("reset")),
             samples=int(facts.number("samples") or 0) or None,
             world_to_camera=camera.world_to_camera,

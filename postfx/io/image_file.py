@@ -297,7 +297,7 @@ class RadianceHeader:
         rows, columns: how many lines are stored, and pixels in each.
         is_turned: whether lines are columns of the picture.
         flips_y, flips_x: whether the picture's rows are stored from the bottom, its columns from the right.
-        exposure: factors that the stored red, green and blue were multiplied by.
+        exposure_factors: what the stored red, green and blue were multiplied by.
         primaries: x and y of red, green, blue and white, None where the header does not say them.
     """
 
@@ -306,13 +306,13 @@ class RadianceHeader:
     is_turned: bool = False
     flips_y: bool = False
     flips_x: bool = False
-    exposure: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    exposure_factors: tuple[float, float, float] = (1.0, 1.0, 1.0)
     primaries: tuple[float, ...] | None = None
 
     @property
     def is_plain(self) -> bool:
         """Whether the picture is stored as it is, from the top left."""
-        return not (self.is_turned or self.flips_y or self.flips_x) and set(self.exposure) == {1.0}
+        return not (self.is_turned or self.flips_y or self.flips_x) and set(self.exposure_factors) == {1.0}
 
     @property
     def size(self) -> tuple[int, int]:
@@ -323,7 +323,7 @@ class RadianceHeader:
         """Stored pixels (rows, columns, 3) as light (height, width, 3) from the top left, float32."""
         pixels = stored.swapaxes(0, 1) if self.is_turned else stored
         pixels = pixels[::-1 if self.flips_y else 1, ::-1 if self.flips_x else 1]
-        return np.ascontiguousarray(pixels / np.asarray(self.exposure), np.float32)
+        return np.ascontiguousarray(pixels / np.asarray(self.exposure_factors), np.float32)
 
 
 def parse_header(start: bytes, path: Path) -> RadianceHeader:
@@ -332,24 +332,24 @@ def parse_header(start: bytes, path: Path) -> RadianceHeader:
     found = _SIZE.fullmatch(rest.partition(b"\n")[0])
     if found is None or {found[2], found[5]} != {b"X", b"Y"}:
         raise ReadError(f"{path}: broken file: its header has no size; render or copy this frame again")
-    exposure, primaries = np.ones(3), None
+    factors, primaries = np.ones(3), None
     for line in facts.decode("latin-1").splitlines():
         key, _, value = line.partition("=")
         if key == "EXPOSURE":
-            exposure = exposure * _numbers(value, 1, line, path)
+            factors = factors * _numbers(value, 1, line, path)
         elif key == "COLORCORR":
-            exposure = exposure * _numbers(value, 3, line, path)
+            factors = factors * _numbers(value, 3, line, path)
         elif key == "PRIMARIES":
             given = _numbers(value, 8, line, path)
             primaries = tuple(given) if given.any() else None  # Photoshop writes zeros where it knows none
         elif key == "FORMAT" and value.strip() == "32-bit_rle_xyze":
             raise ReadError(f"{path}: holds CIE XYZ, which is not read: convert it to RGB first, with 'ra_xyze -r -u'")
-    if not ((exposure > 1 / _MOST) & (exposure < _MOST)).all():
-        raise ReadError(f"{path}: broken file: its header says that it was multiplied by {exposure.min():g}; correct "
+    if not ((factors > 1 / _MOST) & (factors < _MOST)).all():
+        raise ReadError(f"{path}: broken file: its header says that it was multiplied by {factors.min():g}; correct "
                         "EXPOSURE and COLORCORR")
     signs = {found[2]: found[1], found[5]: found[4]}
     return RadianceHeader(int(found[3]), int(found[6]), found[2] == b"X", signs[b"Y"] == b"+", signs[b"X"] == b"-",
-                          (float(exposure[0]), float(exposure[1]), float(exposure[2])), primaries)
+                          (float(factors[0]), float(factors[1]), float(factors[2])), primaries)
 
 
 def _numbers(value: str, count: int, line: str, path: Path) -> np.ndarray:

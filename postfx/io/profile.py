@@ -129,8 +129,8 @@ def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, where
 
 
 BUILTIN = Path(__file__).parent / "profiles"
-HEADER_KEYS = ("samples", "fov_x", "exposure", "jitter", "reset", "world_to_camera", "near", "far", "max_velocity",
-               "shutter")
+HEADER_KEYS = ("samples", "fov_x", "exposure", "exposure_ev", "jitter", "reset", "world_to_camera", "near", "far",
+               "max_velocity", "shutter")
 _MOST_BYTES = 1 << 18
 DEPTH_KINDS = ("planar", "ray", "device", "normalised")
 SOURCES = {

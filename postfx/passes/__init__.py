@@ -61,7 +61,7 @@ class ResidentFrame:
         number: frame number in its sequence.
         jitter: sub-pixel sample position minus 0.5, pixels of the rendered frame, x right, y down. A pass whose
             output is no longer jittered sets it to (0, 0).
-        exposure: multiplier used for this frame, > 0; colour times exposure is what the viewer should see.
+        exposure_factor: what this frame's light is multiplied by, > 0; the viewer should see their product.
         reset: True when history must be dropped before this frame.
         unusable: True when most of the colour was not finite and became 0: the next frame should not build on it.
         samples, world_to_camera, fov_x, metadata, guide_jitter: as in `postfx.frame.Frame`.
@@ -79,7 +79,7 @@ class ResidentFrame:
     tensors: dict[Role, Tensor]
     number: int = 1
     jitter: tuple[float, float] = (0.0, 0.0)
-    exposure: float = 1.0
+    exposure_factor: float = 1.0
     reset: bool = False
     unusable: bool = False
     samples: int | None = None
@@ -99,11 +99,11 @@ class ResidentFrame:
     @classmethod
     def of(
         cls, frame: Frame, spec: FrameSpec, tensors: Mapping[Role, Tensor], guides: Mapping[Role, Tensor],
-        parts: Mapping[str, Tensor], exposure: float, unusable: bool
+        parts: Mapping[str, Tensor], exposure_factor: float, unusable: bool
     ) -> ResidentFrame:
         """A frame on the host, of whose planes, guides and parts these lie on the device."""
         return cls(
-            spec, dict(tensors), frame.number, frame.jitter, exposure, frame.reset, unusable, frame.samples,
+            spec, dict(tensors), frame.number, frame.jitter, exposure_factor, frame.reset, unusable, frame.samples,
             frame.world_to_camera, frame.fov_x, frame.metadata, dict(guides), frame.guide_jitter,
             host_planes={role: frame.planes[role] for role in tensors},
             host_guides={role: frame.guides[role] for role in guides},

@@ -69,17 +69,18 @@ class Display(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.upload(parameters(self._source, self._target, frame.exposure if self._exposed else 1.0))
+        self._params.upload(parameters(self._source, self._target, frame.exposure_factor if self._exposed else 1.0))
         commands.run(ENCODE_DISPLAY, "encode", colour=frame[Role.COLOUR], params=self._params, output=self._output,
                      **self._curves)
         frame.set(Role.COLOUR, self._output)
 
 
-def parameters(source: Target | None, target: Target, exposure: float = 1.0) -> np.ndarray:
+def parameters(source: Target | None, target: Target, exposure_factor: float = 1.0) -> np.ndarray:
     """Parameters of the kernel `encode_display`, from code values of a display, or from light in Rec.709 (None)."""
     matrix = matrix_between(source.kind.primaries if source else REC709, target.kind.primaries)
     exponent = 1 / target.system_gamma - 1
-    values = [*(matrix * exposure / target.unit).ravel(), source is not None, target.most / target.unit, exponent]
+    matrix = matrix * exposure_factor / target.unit
+    values = [*matrix.ravel(), source is not None, target.most / target.unit, exponent]
     return np.array(values, np.float32)
 
 
@@ -163,7 +164,7 @@ class View(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.put(np.array([frame.exposure, TOE, SCALE], np.float32))
+        self._params.put(np.array([frame.exposure_factor, TOE, SCALE], np.float32))
         commands.run(self._state, "view", colour=frame[Role.COLOUR], params=self._params, output=self._output,
                      **self._cube)
         frame.set(Role.COLOUR, self._output)

@@ -83,21 +83,21 @@ class ExposureTool(Pass):
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         reference = self.options["reference"]
-        exposure = frame.exposure if reference is None else reference[frame.number]
+        factor = frame.exposure_factor if reference is None else reference[frame.number]
         if self.options["part"]:
-            self._encode_part(commands, frame, exposure)
+            self._encode_part(commands, frame, factor)
             return
-        self._greys.upload(np.array(GREYS) / exposure)
+        self._greys.upload(np.array(GREYS) / factor)
         commands.run(CHECKERBOARD, "checkerboard", greys=self._greys, output=self._output, **self._cells)
         frame.set(Role.COLOUR, self._output)
         if Role.ALPHA in frame:
             frame.set(Role.ALPHA, self._opaque)
 
-    def _encode_part(self, commands: CommandBuffer, frame: ResidentFrame, exposure: float) -> None:
+    def _encode_part(self, commands: CommandBuffer, frame: ResidentFrame, exposure_factor: float) -> None:
         board = np.zeros(self._board.shape, np.float32)
         area = board[board_area(board.shape[0], board.shape[1], part=True)]
         rows, columns = cells(area.shape[0], area.shape[1])
-        area[..., :3] = np.where(rows[:, None] == columns[None, :], *GREYS)[..., None] / exposure
+        area[..., :3] = np.where(rows[:, None] == columns[None, :], *GREYS)[..., None] / exposure_factor
         area[..., 3] = 1
         self._board.upload(board)
         for role, kernel in self._over.items():

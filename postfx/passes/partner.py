@@ -188,7 +188,7 @@ class MixPartner(Pass):
         seen = self._frames + 1 if keep else 1
         self._frames = 0 if frame.unusable else seen
         self._outputs.reverse()
-        self._settings.put(np.array([frame.exposure, REACH, keep, self._strength], np.float32))
+        self._settings.put(np.array([frame.exposure_factor, REACH, keep, self._strength], np.float32))
         weight = partner_weight(seen + self._more, self._scale)
         self._weight.put(np.full((1, 1, 1), weight, np.float32))
         whole = frame[Role.COLOUR]

@@ -186,7 +186,7 @@ class ToneMap(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.put(np.array([frame.exposure, self._shaper.toe, self._shaper.scale], np.float32))
+        self._params.put(np.array([frame.exposure_factor, self._shaper.toe, self._shaper.scale], np.float32))
         colour = frame[Role.COLOUR]
         if self._kind:
             past = self._fresh and not frame.reset

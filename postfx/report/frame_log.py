@@ -42,13 +42,13 @@ class Look:
         """Exposed light above which a page does not distinguish values."""
         return 1.0 if self.display else 2.0**WHITE_STOPS
 
-    def expose(self, light: np.ndarray, exposure: float) -> np.ndarray:
+    def expose(self, light: np.ndarray, exposure_factor: float) -> np.ndarray:
         """Light as the page stores it."""
-        return light if self.display else light * np.float32(exposure)
+        return light if self.display else light * np.float32(exposure_factor)
 
-    def codes(self, light: np.ndarray, exposure: float) -> np.ndarray:
+    def codes(self, light: np.ndarray, exposure_factor: float) -> np.ndarray:
         """Code values 0..1."""
-        return srgb_encode(np.minimum(np.nan_to_num(light), 1)) if self.display else to_codes(light, exposure)
+        return srgb_encode(np.minimum(np.nan_to_num(light), 1)) if self.display else to_codes(light, exposure_factor)
 
 
 @dataclass
@@ -64,7 +64,7 @@ class Row:
 class Sight:
     """One frame's pictures: name -> codes of `encode_light`; `maps`: name -> sRGB (height, width, 3) uint8."""
 
-    exposure: float
+    exposure_factor: float
     size: tuple[int, int]
     pictures: dict[str, np.ndarray]
     maps: dict[str, np.ndarray] = field(default_factory=dict)
@@ -87,14 +87,14 @@ class FrameLog:
         self.rows: list[Row] = []
 
     def add(
-        self, number: int, pictures: Pixels, exposure: float, motion: Motion = None, cut: bool = False,
+        self, number: int, pictures: Pixels, exposure_factor: float, motion: Motion = None, cut: bool = False,
         readings: Mapping[str, float | None] | None = None, maps: Pixels | None = None,
     ) -> None:
         """Add a frame: `pictures` by name, light (height, width, 3) of one size; `motion`, (h, w, 2) in its own pixels,
         of all or by the name of the picture, ignored at a `cut`; `maps` by name, colours (height, width, 3) 0..1.
         """
         motions = motion if isinstance(motion, Mapping) else dict.fromkeys(pictures, motion)
-        changes = {name: self._change(name, light, exposure, None if cut else motions[name])
+        changes = {name: self._change(name, light, exposure_factor, None if cut else motions[name])
                    for name, light in pictures.items()}
         self._before = dict(pictures)
         named = {f"change {name}": value for name, value in changes.items()}
@@ -107,25 +107,25 @@ class FrameLog:
                 del self._sights[self._worst[1]]
             self._worst = worst, number
         if is_worst or number in self._wanted:
-            self._sights[number] = self._sight(pictures, exposure, maps or {})
+            self._sights[number] = self._sight(pictures, exposure_factor, maps or {})
 
     def frames(self) -> list[dict[str, Any]]:
         """The kept frames, in order, for the page's viewer."""
         return [self._frame(number, sight) for number, sight in sorted(self._sights.items())]
 
-    def _change(self, name: str, light: np.ndarray, exposure: float, motion: np.ndarray | None) -> float | None:
+    def _change(self, name: str, light: np.ndarray, exposure_factor: float, motion: np.ndarray | None) -> float | None:
         if motion is None or name not in self._before:
             return None
-        return measure_change(self._before[name], light, motion, lambda part: self.look.codes(part, exposure))
+        return measure_change(self._before[name], light, motion, lambda part: self.look.codes(part, exposure_factor))
 
-    def _sight(self, pictures: Pixels, exposure: float, maps: Pixels) -> Sight:
+    def _sight(self, pictures: Pixels, exposure_factor: float, maps: Pixels) -> Sight:
         def codes(light: np.ndarray) -> np.ndarray:
-            return encode_light(shrink(self.look.expose(light, exposure), LONGEST), self.look.highest)
+            return encode_light(shrink(self.look.expose(light, exposure_factor), LONGEST), self.look.highest)
 
         size = next(iter(pictures.values())).shape[1::-1]
         small = {name: np.rint(255 * np.clip(shrink(one, LONGEST), 0, 1)).astype(np.uint8)
                  for name, one in maps.items()}
-        return Sight(exposure, size, {name: codes(light) for name, light in pictures.items()}, small)
+        return Sight(exposure_factor, size, {name: codes(light) for name, light in pictures.items()}, small)
 
     def _frame(self, number: int, sight: Sight) -> dict[str, Any]:
         why = [self._wanted[number]] if number in self._wanted else []
@@ -133,7 +133,7 @@ class FrameLog:
         return {
             "number": number,
             "why": ", ".join(why),
-            "exposure_ev": float(np.log2(sight.exposure)),
+            "exposure_ev": float(np.log2(sight.exposure_factor)),
             "size": sight.size,
             "pictures": {name: pack_codes(codes, self.look.highest) for name, codes in sight.pictures.items()},
             "maps": {name: png_uri(pixels) for name, pixels in sight.maps.items()},

@@ -80,14 +80,14 @@ def shrink(pixels: np.ndarray, most: int) -> np.ndarray:
     return found
 
 
-def notebook_picture(colour: np.ndarray, encoding: str, exposure: float) -> bytes:
+def notebook_picture(colour: np.ndarray, encoding: str, exposure_factor: float) -> bytes:
     """A frame's colour (height, width, 3) as a small PNG file; `encoding` is the frame's.
 
-    Scene-linear light is multiplied by `exposure` and shown as x / (1 + x) in sRGB.
+    Scene-linear light is multiplied by `exposure_factor` and shown as x / (1 + x) in sRGB.
     """
     shown = np.maximum(np.nan_to_num(shrink(colour, NOTEBOOK_SIDE), posinf=0, neginf=0), 0)
     if encoding == "scene-linear":
-        shown = shown * exposure
+        shown = shown * exposure_factor
         shown = shown / (1 + shown)
     if encoding.endswith("-linear"):
         shown = srgb_encode(np.minimum(shown, 1))

@@ -128,12 +128,12 @@ class Result:
     Attributes:
         colour: (H, W, 3) in half precision, exposed, because bright light would not fit half precision otherwise.
         length: (h, w), history length of each pixel in reverse order.
-        exposure: multiplier that the colour includes.
+        exposure_factor: what the colour was multiplied by.
     """
 
     colour: np.ndarray
     length: np.ndarray
-    exposure: float
+    exposure_factor: float
 
 
 class Backwards:
@@ -150,6 +150,7 @@ class Backwards:
         device: where to run; default: the default device of pipelines.
         exposure, cuts: as for a `Pipeline`.
         prepare: applied to frames after reading, as for the frames in order.
+        wrap: as for a `Pipeline`.
         options: of `DenoiseUpscale`, the same as for the frames in order.
 
     The sequence runs in parts of PART frames, each from its last frame to its first, after a run-up over the frames
@@ -162,15 +163,15 @@ class Backwards:
 
     def __init__(self, sequence: Sequence, device: Device | None = None,
                  exposure: str | float | ExposureMeter | SmoothExposure = "auto", cuts: str = "auto",
-                 prepare: Callable[[Frame], Frame] = lambda frame: frame, **options: Any) -> None:
+                 prepare: Callable[[Frame], Frame] = lambda frame: frame, wrap: str = "auto", **options: Any) -> None:
         self._of_view: Callable[[str], Backwards] = lambda view: Backwards(
-            sequence.reader(view), device, exposure, cuts, prepare, **options)
+            sequence.reader(view), device, exposure, cuts, prepare, wrap, **options)
         self._views: dict[str, Backwards] = {}
         after = sequence.after(sequence.numbers[-1], RUN_UP) if sequence.numbers else ()
         self._given, self._numbers, self._asked = sequence, (*sequence.numbers, *after), len(sequence)
         self._at = {number: index for index, number in enumerate(sequence.numbers)}
         self._pass = DenoiseUpscale(**options)
-        self._pipeline = Pipeline([self._pass], device, exposure, cuts, checks=False)
+        self._pipeline = Pipeline([self._pass], device, exposure, cuts, checks=False, wrap=wrap)
         self._prepare = prepare
         self._ahead, self._last = HistoryLength(find_cuts=cuts == "auto"), -1
         self._plan: Plan | None = None
@@ -208,7 +209,7 @@ class Backwards:
             if result and result.length.shape == ahead.shape and result.colour.shape[:2] == later.shape[:2]:
                 share = np.empty(ahead.shape, np.float32)
                 share_by_length(ahead, result.length, share)
-                premultiply(share, result.colour.astype(np.float32) / np.float32(result.exposure), later)
+                premultiply(share, result.colour.astype(np.float32) / np.float32(result.exposure_factor), later)
         views = {name: self._add_later(name, view, wanted, check) for name, view in frame.views.items()}
         return replace(frame, guides={**frame.guides, Role.LATER: later}, views=views)
 
@@ -269,21 +270,21 @@ class Backwards:
             check()
             if frame is not None:
                 reverse = reverse_motion(frame, after)
-                colour, exposure = self._denoise(reverse)
+                colour, factor = self._denoise(reverse)
                 length = lengths(replace(reverse, reset=reverse.reset or self._pipeline.cut))
                 if index < end and colour is not None:
-                    self._results[frame.number] = Result(colour, length, exposure)
+                    self._results[frame.number] = Result(colour, length, factor)
                     self._times[frame.number] = sum(self._pipeline.timings.values())
             after = frame
 
     def _denoise(self, frame: Frame) -> tuple[np.ndarray | None, float]:
-        """Exposed colour in half precision, or None if the frame cannot run, and its exposure."""
+        """Exposed colour in half precision, or None if the frame cannot run, and its factor."""
         try:
             colour = self._pipeline(frame)[Role.COLOUR]
         except PostfxError:
             return None, 1.0
-        exposure = self._pipeline.exposure or 1.0
-        return np.clip(colour * np.float32(exposure), -HALF_MAX, HALF_MAX).astype(np.float16), exposure
+        factor = self._pipeline.exposure_factor or 1.0
+        return np.clip(colour * np.float32(factor), -HALF_MAX, HALF_MAX).astype(np.float16), factor
 
     def _plan_of(self, number: int) -> Plan:
         with self._sequence.open(number) as files:

@@ -145,7 +145,7 @@ def test_the_estimate_is_higher_where_there_is_more_noise_and_keeps_its_place():
 def test_the_estimate_orders_the_tiles_of_real_renders(shared_dir: Path):
     """Of other people's scenes at the render's size: by tiles, against the measured error."""
     import postfx
-    from postfx.bench.metrics import grey_exposure
+    from postfx.bench.metrics import grey_factor
     from postfx.colour.views import to_codes
 
     logs = []
@@ -153,7 +153,7 @@ def test_the_estimate_orders_the_tiles_of_real_renders(shared_dir: Path):
     for name in ("water_1x4", "snow_1x16"):
         frame = postfx.read_sequence(shared_dir / f"sequences/{name}/noisy.0002.exr").read(2)
         reference = postfx.read_sequence(shared_dir / f"sequences/{name}/reference.0002.exr").read(2)[Role.COLOUR]
-        denoised, exposure = pipeline(frame)[Role.COLOUR], grey_exposure(reference)
+        denoised, exposure = pipeline(frame)[Role.COLOUR], grey_factor(reference)
         pipeline.reset()
         true = np.square(to_codes(denoised, exposure) - to_codes(reference, exposure)).mean(axis=2)
         pair = [make_tiles(1, np.float32(error), 4, None, 32).errors.ravel()

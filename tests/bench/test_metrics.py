@@ -56,7 +56,7 @@ def test_summary_of_a_sequence():
         noisy = frame(colour, number, reset=number == 3)
         result = colour + np.float32(error)
         result[0, 0] = np.inf if number == 2 else result[0, 0]
-        scores.add(result, frame(colour, number, exposure=1.0), noisy)
+        scores.add(result, frame(colour, number, exposure=0.0), noisy)
     summary = scores.summary()
     assert [row["flicker"] is None for row in scores.frames] == [True, False, True, False]
     assert summary["flicker_late"] == scores.frames[3]["flicker"]

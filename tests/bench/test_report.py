@@ -137,7 +137,7 @@ class Sequence:
         self.noisy, self._results = self, results
 
     def reference(self, number):
-        return Frame({Role.COLOUR: np.ones((40, 60, 3), np.float32)}, exposure=1.0, number=number)
+        return Frame({Role.COLOUR: np.ones((40, 60, 3), np.float32)}, exposure=0.0, number=number)
 
     motion = reference
 

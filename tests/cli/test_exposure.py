@@ -146,9 +146,9 @@ def explained(mode: str) -> str:
 def test_an_exposure_in_the_pixels_is_called_so_in_the_header(told, tmp_path: Path) -> None:
     used, _ = told("-o", "out/a.####.exr", "--display", "srgb")
     header = oiio.ImageBuf(str(tmp_path / "out/a.0001.exr")).spec()
-    applied = header.getattribute("postfx:exposureApplied")
-    assert applied == pytest.approx(used["exposure"]["multipliers"]["1"])
-    assert not header.getattribute("postfx:exposureUsed")
+    applied = header.getattribute("postfx:exposureAppliedEV")
+    assert 2.0**applied == pytest.approx(used["exposure"]["multipliers"]["1"])
+    assert not header.getattribute("postfx:exposureUsedEV")
 
 
 def test_a_second_run_takes_the_exposure_of_the_first(write_exr, tmp_path: Path, monkeypatch, capsys) -> None:
@@ -159,7 +159,7 @@ def test_a_second_run_takes_the_exposure_of_the_first(write_exr, tmp_path: Path,
     assert main(["run", "in/", "-o", "clean/", "--scale", "1", *common]) == 0
     first = json.loads(capsys.readouterr().out)["exposure"]
     header = oiio.ImageBuf("clean/shot.0001.exr").spec()
-    assert header.getattribute("postfx:exposureUsed") == pytest.approx(2.0**4, rel=0.02) and not first["applied"]
+    assert header.getattribute("postfx:exposureUsedEV") == pytest.approx(4, abs=0.03) and not first["applied"]
     picture_run = ["run", "clean/", "-o", "p.####.png", "--no-denoise", "--no-tonemap", "--overwrite", "--json"]
     assert main([*picture_run, "--exposure", "metadata"]) == 0
     assert json.loads(capsys.readouterr().out)["exposure"]["multipliers"] == pytest.approx(first["multipliers"])
@@ -187,7 +187,7 @@ def test_graded_frames_are_handed_back(grey, tmp_path: Path, monkeypatch, capsys
     assert main(["exposure", "in/", "--chart", "chart.exr"]) == 0
     for source in [*Path("boards").glob("*.exr"), Path("chart.exr")]:  # a curve of its own, a stop too bright
         picture = oiio.ImageBuf(str(source))
-        light = picture.get_pixels(oiio.FLOAT)[..., :3] * picture.spec().getattribute("postfx:exposureUsed")
+        light = picture.get_pixels(oiio.FLOAT)[..., :3] * 2.0 ** picture.spec().getattribute("postfx:exposureUsedEV")
         codes = np.clip(np.log2(1 + light * (2 if source.stem != "chart" else 1) * 9) / 8, 0, 1)
         oiio.ImageBuf(codes.astype(np.float32)).write(f"{source.stem}.png", oiio.UINT8)
     capsys.readouterr()

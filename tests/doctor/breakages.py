@@ -311,7 +311,7 @@ def flashes(pixels: np.ndarray, frame: Frame) -> np.ndarray:
 def exposure_jumps(frames: Frames) -> Frames | None:
     if frames[0].exposure is None:
         return None
-    return [replace(frame, exposure=frame.exposure * (4 if frame.number > 2 else 1)) for frame in frames]
+    return [replace(frame, exposure=frame.exposure + (2 if frame.number > 2 else 0)) for frame in frames]
 
 
 def straight_alpha(frames: Frames) -> Frames:

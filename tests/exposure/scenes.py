@@ -24,7 +24,6 @@ def scene(
     needed = list(needed)
     given = [None] * len(needed) if given is None else list(given)
     for index, (ev, header) in enumerate(zip(needed, given, strict=True)):
-        exposure = None if header is None else 2.0**header
         yield Frame(
-            {Role.COLOUR: picture(ev)}, number=index + 1, exposure=exposure, reset=index == 0 or index in cuts, **values
+            {Role.COLOUR: picture(ev)}, number=index + 1, exposure=header, reset=index == 0 or index in cuts, **values
         )

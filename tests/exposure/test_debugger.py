@@ -52,7 +52,7 @@ def test_every_error_is_named_within_a_twentieth_of_a_stop(view, needed: float, 
     board = Board(view, device=device)
     response = Response.of_board(board)
     for error in ERRORS:
-        found = response.ev_of(board.level(2.0 ** (needed + error), 2.0**needed, cut=True))
+        found = response.ev_of(board.level(needed + error, needed, cut=True))
         assert found == pytest.approx(error, abs=0.05)
 
 
@@ -77,7 +77,7 @@ def test_errors_between_the_samples_of_the_response_are_named_too(device: Device
     board = Board([ToneMap()], device=device)
     response = Response.of_board(board)
     for error in (-1.87, -0.61, 0.12, 0.37, 1.62):
-        assert response.ev_of(board.level(2.0**error, 1.0, cut=True)) == pytest.approx(error, abs=0.05)
+        assert response.ev_of(board.level(error, 0.0, cut=True)) == pytest.approx(error, abs=0.05)
 
 
 def test_beyond_black_and_white_the_limit_is_told(device: Device) -> None:
@@ -155,9 +155,9 @@ class Brighter(ToneMap):
     defaults = MappingProxyType({**ToneMap.defaults, "by": lambda number: 2.0})
 
     def encode(self, commands, frame) -> None:
-        told, frame.exposure = frame.exposure, frame.exposure * self.options["by"](frame.number)
+        told, frame.exposure_factor = frame.exposure_factor, frame.exposure_factor * self.options["by"](frame.number)
         super().encode(commands, frame)
-        frame.exposure = told
+        frame.exposure_factor = told
 
 
 def test_a_tone_mapper_that_applies_another_exposure(device: Device) -> None:
@@ -169,7 +169,7 @@ def test_a_tone_mapper_that_applies_another_exposure(device: Device) -> None:
 def test_a_tone_mapper_that_exposes_twice(device: Device) -> None:
     class Twice(Brighter):
         def encode(self, commands, frame) -> None:
-            self.options = {**self.options, "by": lambda _: frame.exposure}
+            self.options = {**self.options, "by": lambda _: frame.exposure_factor}
             super().encode(commands, frame)
 
     report = debug(scene([1.5] * 3), [ToneMap()], "smooth", chain=[Twice()], device=device)
@@ -188,9 +188,9 @@ class Own(View):
     defaults = MappingProxyType({**View.defaults, "by": lambda told: told})
 
     def encode(self, commands, frame) -> None:
-        told, frame.exposure = frame.exposure, self.options["by"](frame.exposure)
+        told, frame.exposure_factor = frame.exposure_factor, self.options["by"](frame.exposure_factor)
         super().encode(commands, frame)
-        frame.exposure = told
+        frame.exposure_factor = told
 
 
 def test_a_tone_mapper_of_ones_own_is_judged_by_its_own_curve(device: Device) -> None:
@@ -219,8 +219,7 @@ def fed_back(needed: float, count: int) -> list[postfx.Frame]:
     for number in range(count):
         (frame,) = scene([needed - last])
         frame.number, frame.reset = number, number == 0
-        frame.exposure = meter(frame)
-        last = float(np.log2(frame.exposure))
+        frame.exposure = last = float(np.log2(meter(frame)))
         frames.append(frame)
     return frames
 

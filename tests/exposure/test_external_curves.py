@@ -156,9 +156,9 @@ class Outside(View):
     defaults = MappingProxyType({**View.defaults, "gain": 1.0})
 
     def encode(self, commands, frame) -> None:
-        told, frame.exposure = frame.exposure, frame.exposure * self.options["gain"]
+        told, frame.exposure_factor = frame.exposure_factor, frame.exposure_factor * self.options["gain"]
         super().encode(commands, frame)
-        frame.exposure = told
+        frame.exposure_factor = told
 
 
 @pytest.mark.parametrize("gain", (0.5, 2.0))

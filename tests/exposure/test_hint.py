@@ -34,7 +34,8 @@ def outputs(frames: list[Frame], passes: list, device: Device, light: float = 1.
     """Colour of each frame after the passes, where the input is `light` times as bright; hint None: auto."""
     pipeline = Pipeline(passes, device, "auto" if hint is None else "metadata")
     planes = ({**frame.planes, Role.COLOUR: np.float32(light) * frame[Role.COLOUR]} for frame in frames)
-    given = (dataclasses.replace(frame, planes=p, exposure=hint) for frame, p in zip(frames, planes, strict=True))
+    stops = None if hint is None else np.log2(hint)
+    given = (dataclasses.replace(frame, planes=p, exposure=stops) for frame, p in zip(frames, planes, strict=True))
     return np.stack([pipeline(frame)[Role.COLOUR] for frame in given])
 
 

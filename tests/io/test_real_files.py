@@ -61,7 +61,7 @@ def test_generic_headers(shared_dir: Path):
     frame = next(iter(read_sequence(shared_dir / "sequences/living_room/noisy.####.exr")))
     assert frame.jitter == pytest.approx((0, -1 / 6), abs=1e-4)
     assert (frame.samples, frame.reset, frame.fov_x) == (2, True, 90)
-    assert frame.exposure == pytest.approx(1.10767, abs=1e-5)
+    assert frame.exposure_factor == pytest.approx(1.10767, abs=1e-5)
 
 
 def test_stereo_planes_come_from_one_view(shared_dir: Path):

@@ -20,7 +20,7 @@ from postfx.kernels.denoise.network_io import (
     STORE_RINGED,
 )
 from postfx.kernels.denoise.prepare import ACCUMULATE
-from postfx.kernels.denoise.pyramid import FILTER, FILTER_CODES, MIX_LEVELS
+from postfx.kernels.denoise.pyramid import FILTER, FILTER_CODES, MIX_LEVELS, POOL
 from postfx.kernels.denoise.upsample import (
     CODES_GUIDED,
     CODES_PLAIN,
@@ -100,6 +100,18 @@ def test_features_in_8_bits_are_the_codes_of_the_planes(ring: int, bad: bool, co
             STORED_FEATURE.rows(*rows, *inputs.values(), coding, past, stored)
         np.testing.assert_array_equal(stored, codes, str(case))
         np.testing.assert_array_equal(past, wanted["past"], str(case))
+
+
+@pytest.mark.parametrize("importance", [1.0, 1e-8, 1e-12, 1e-35, 0.0])
+def test_light_that_a_network_hardly_counts_is_not_darkened(importance: float, compiled: Device,
+                                                            portable: Device) -> None:
+    """Pooling gives a cell of one colour that colour, whatever its weight."""
+    inputs = arguments(POOL, ODD)
+    inputs["finer"][:], inputs["finer_importance"][:] = 0.5, importance
+    for device in (compiled, portable):
+        found = run(POOL, device, inputs, ODD)["level"][:, 1:-1, 1:-1]  # beyond the frame there is no light
+        assert found.size
+        np.testing.assert_allclose(found, 0.5, rtol=1e-6)
 
 
 def test_resampling_at_whole_positions_gives_the_samples_and_keeps_within_them() -> None:

@@ -48,7 +48,7 @@ def _shot(number: int, sparks: list, random: np.random.Generator) -> Shot:
                 Role.SPECULAR_ALBEDO: [0.0] * 3}
     planes = {role: np.broadcast_to(np.float32(value), (*size, len(value))) for role, value in constant.items()}
     planes |= {Role.COLOUR: colour.astype(np.float32), Role.DIFFUSE_ALBEDO: albedo.astype(np.float32)}
-    opaque = Frame(planes, number=number, jitter=jitter, exposure=1.0, reset=number == 0)
+    opaque = Frame(planes, number=number, jitter=jitter, exposure=0.0, reset=number == 0)
     with_sparks = (colour * (1 - alpha) + glow).astype(np.float32)
     reference, covered = _reference(number, sparks)
     return Shot(replace(opaque, planes={**opaque.planes, Role.COLOUR: with_sparks}), opaque, alpha, reference, covered)

@@ -34,7 +34,7 @@ def sequence() -> list[Shot]:
 
 def run(frames: list[Frame], device: Device, **options) -> list[np.ndarray]:
     pipeline = Pipeline([DenoiseUpscale(**{"scale": 2, **options})], device, exposure="metadata", cuts="none")
-    return [pipeline(replace(frame, exposure=frame.exposure or 1.0))[Role.COLOUR] for frame in frames]
+    return [pipeline(replace(frame, exposure=frame.exposure or 0.0))[Role.COLOUR] for frame in frames]
 
 
 def given(frame: Frame, role: Role, plane: np.ndarray | float) -> Frame:
@@ -53,7 +53,7 @@ def reactive(frames: list[Frame], *values: float | np.ndarray) -> list[Frame]:
 
 def some_frames(size: tuple[int, int], scale: float, with_guides: bool) -> list[Frame]:
     """Four frames of changing exposure."""
-    frames = [noisy(number, *size, exposure=exposure) for number, exposure in enumerate((1.0, 1.0, 2.5, 0.7))]
+    frames = [noisy(number, *size, exposure=np.log2(exposure)) for number, exposure in enumerate((1.0, 1.0, 2.5, 0.7))]
     output = tuple(round(side * scale) for side in size)
     return [guided(frame, *output) for frame in frames] if with_guides else frames
 
@@ -109,7 +109,7 @@ def test_particles_leave_a_third_of_their_ghosts_at_most(model: str, sequence: l
 
 def test_the_mask_of_the_difference(sequence: list[Shot], device: Device) -> None:
     """The same picture as with a plane that holds what the documentation says."""
-    frames = [replace(shot.frame, exposure=2.0) for shot in sequence[:3]]
+    frames = [replace(shot.frame, exposure=1.0) for shot in sequence[:3]]
     with_opaque = [given(frame, Role.OPAQUE_COLOUR, shot.opaque[Role.COLOUR])
                    for frame, shot in zip(frames, sequence, strict=False)]
     planes = []

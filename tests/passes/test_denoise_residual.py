@@ -45,15 +45,15 @@ def in_torch(frames: list[Frame], size: tuple[int, int]) -> list[tuple[np.ndarra
     """Colour and expected error of the torch definition; the error has the render size."""
     model, results, state, last = small_model(config=RESIDUAL).eval(), [], None, None
     for frame in frames:
-        gain = None if last is None else torch.full((1, 1, 1, 1), frame.exposure / last)
+        gain = None if last is None else torch.full((1, 1, 1, 1), frame.exposure_factor / last)
         planes = {str(role): torch.from_numpy(plane).permute(2, 0, 1)[None] for role, plane in frame.planes.items()}
-        planes["colour"] = planes["colour"] * frame.exposure
+        planes["colour"] = planes["colour"] * frame.exposure_factor
         inputs = network.Inputs(**planes, jitter=torch.tensor([frame.jitter], dtype=torch.float32), gain=gain)
         state = state or network.empty_state(inputs, *size)
         with torch.no_grad():
             step = model.step(inputs, state)
-        state, last = step.state, frame.exposure
-        results.append((step.output[0].permute(1, 2, 0).numpy() / frame.exposure,
+        state, last = step.state, frame.exposure_factor
+        results.append((step.output[0].permute(1, 2, 0).numpy() / frame.exposure_factor,
                         step.error[0].permute(1, 2, 0).exp().numpy()))
     return results
 
@@ -78,7 +78,7 @@ def device() -> Device:
 def test_pass_gives_what_torch_gives(
     size: tuple[int, int], scale: float, mirrored: bool, compiled: bool, small_models: Path
 ) -> None:
-    frames = [seen(i, *size, mirrored, exposure=exposure) for i, exposure in enumerate((1.0, 1.0, 2.5))]
+    frames = [seen(i, *size, mirrored, exposure=np.log2(exposure)) for i, exposure in enumerate((1.0, 1.0, 2.5))]
     frames[1].jitter = (0.0, 0.0)
     output = tuple(round(side * scale) for side in size)
     pipeline = chain(Device("cpu", threads=2, compiled_kernels=compiled), scale=scale)

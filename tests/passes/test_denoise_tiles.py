@@ -158,7 +158,7 @@ def test_a_masked_frame_is_the_whole_frame_where_it_is_active(
     for frame in room:
         wanted = whole(frame)[Role.COLOUR]
         found = tiled(masked(frame, mask))[Role.COLOUR]
-        error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
+        error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
         assert error[full(mask)].max() < 1e-3
         outside = np.kron(mask, np.ones((2, 2))) == 0
         outside &= full(1 - mask)
@@ -175,7 +175,7 @@ def test_what_has_not_converged_is_as_in_a_run_of_the_whole(device: Device, room
         assert (strength[62:118, 102:168] == 1).any() and (strength == 0).mean() > 0.8
         wanted, found = whole(frame)[Role.COLOUR], tiled(masked(frame, strength[:, :, 0]))[Role.COLOUR]
         active = resampled(masked(frame, strength[:, :, 0]), Role.STRENGTH, 2)[:, :, 0] == 1
-        error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
+        error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
         assert active.sum() > 10000 and error[active].max() < 1e-3
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
 
@@ -186,7 +186,7 @@ def test_the_halo_is_enough_for_every_network(model: str, device: Device, room: 
     mask = MASKS["box"]
     whole = chain(device, model=model)
     wanted, found = whole(room[0])[Role.COLOUR], chain(device, model=model)(masked(room[0], mask))[Role.COLOUR]
-    error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
+    error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
     assert error[full(mask)].max() < 1e-3
 
 
@@ -199,7 +199,7 @@ def test_the_halo_is_enough_for_the_light_of_a_window(model: str, device: Device
     for rows in (14, 30, 46, 62):
         mask = boxes(np.s_[:rows, :])
         found = chain(device, model=model)(masked(frame, mask))[Role.COLOUR]
-        error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
+        error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
         assert error[full(mask)].max() < 5e-4
 
 
@@ -217,7 +217,7 @@ def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool, 
         found = tiled(part)[Role.COLOUR]
         share = resampled(part, Role.STRENGTH, scale)[..., 0]
         active, without = share == 1, share == 0
-        error = np.abs(seen(found, whole.exposure) - seen(wanted, whole.exposure)).max(2)
+        error = np.abs(seen(found, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max(2)
         assert active.sum() > 1000 and error[active].max() < 1e-3
         np.testing.assert_array_equal(found[without], resampled(part, Role.COLOUR, scale)[without])
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
@@ -237,7 +237,7 @@ def test_masked_frames_of_the_render_size(
     whole = chain(device, scale=1, model="m.fp32")
     for frame, one in zip(frames, found, strict=True):
         wanted = whole(frame)[Role.COLOUR]
-        assert np.abs(seen(one, whole.exposure) - seen(wanted, whole.exposure)).max() < 1e-3
+        assert np.abs(seen(one, whole.exposure_factor) - seen(wanted, whole.exposure_factor)).max() < 1e-3
         np.testing.assert_array_equal(one[mask == 0], frame[Role.COLOUR][mask == 0])
     assert any("strength is 0 there" in item.why for item in tiled.explain().skips)
     assert not any("strength is 0 there" in item.why for item in whole.explain().skips)
@@ -280,9 +280,9 @@ def test_what_becomes_active_is_denoised_as_in_a_first_frame(device: Device, roo
     found = moved(masked(room[1], second))[Role.COLOUR]
     alone = chain(device, model="m.fp32")
     wanted = alone(replace(masked(room[1], second), reset=True))[Role.COLOUR]
-    fixed = Pipeline([DenoiseUpscale(scale=2, model="m.fp32")], device, exposure=np.log2(moved.exposure))
+    fixed = Pipeline([DenoiseUpscale(scale=2, model="m.fp32")], device, exposure=moved.exposure)
     wanted = fixed(replace(masked(room[1], second), reset=True))[Role.COLOUR]
-    error = np.abs(seen(found, moved.exposure) - seen(wanted, moved.exposure)).max(2)
+    error = np.abs(seen(found, moved.exposure_factor) - seen(wanted, moved.exposure_factor)).max(2)
     assert error[full(second)].max() < 1e-3
 
 
@@ -303,7 +303,7 @@ def test_nothing_active_runs_no_network_and_drops_the_history(device: Device, ro
     tiled(masked(room[0], 1))
     np.testing.assert_array_equal(tiled(masked(room[1], 0))[Role.COLOUR], resampled(room[1], Role.COLOUR, 2))
     found = tiled(masked(room[2], 1))[Role.COLOUR]
-    fixed = Pipeline([DenoiseUpscale(scale=2, model="s")], device, exposure=np.log2(tiled.exposure))
+    fixed = Pipeline([DenoiseUpscale(scale=2, model="s")], device, exposure=tiled.exposure)
     np.testing.assert_array_equal(found, fixed(room[2])[Role.COLOUR])
     assert any("strength is 0 everywhere" in item.why for item in tiled.explain().skips)
 

@@ -91,7 +91,7 @@ def test_jitter_is_read_from_the_frame(device: Device) -> None:
 
 @pytest.mark.parametrize("exposures", [(1.0, 1.0, 1.0), (1.0, 4.0, 0.25)], ids=["steady", "changing"])
 def test_exposure_never_changes_the_brightness(exposures: tuple[float, ...], device: Device) -> None:
-    frames = [flat(number, 0.3, exposure=exposure) for number, exposure in enumerate(exposures)]
+    frames = [flat(number, 0.3, exposure=np.log2(exposure)) for number, exposure in enumerate(exposures)]
     for colour in colours(run(frames, device, exposure="metadata")):
         np.testing.assert_allclose(colour, 0.3, rtol=1e-3)
 

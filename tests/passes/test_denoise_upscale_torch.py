@@ -34,23 +34,23 @@ def in_torch(model: network.DenoiseUpscale, frames: list[Frame], size: tuple[int
     """Output colours of the torch definition, not exposed."""
     results, state, last = [], None, None
     for frame in frames:
-        gain = None if last is None or frame.reset else torch.full((1, 1, 1, 1), frame.exposure / last)
+        gain = None if last is None or frame.reset else torch.full((1, 1, 1, 1), frame.exposure_factor / last)
         planes, guides = as_tensors(frame.planes), as_tensors(frame.guides)
-        planes["colour"] = planes["colour"] * frame.exposure
+        planes["colour"] = planes["colour"] * frame.exposure_factor
         planes["jitter"] = torch.tensor([frame.jitter], dtype=torch.float32)
         inputs = network.Inputs(**planes, gain=gain, guides=network.Guides(**guides) if guides else None)
         state = state or network.empty_state(inputs, *size)
         keep = torch.full((1, 1, 1, 1), 0.0 if frame.reset else 1.0)
         with torch.no_grad():
             output, state, _ = model(inputs, state.drop(keep))
-        results.append(output[0].permute(1, 2, 0).numpy() / frame.exposure)
-        last = frame.exposure
+        results.append(output[0].permute(1, 2, 0).numpy() / frame.exposure_factor)
+        last = frame.exposure_factor
     return results
 
 
 def broken_frames(size: tuple[int, int]) -> list[Frame]:
     """Four frames with what no file should hold in the second; small blocks of colour would be repaired."""
-    frames = [noisy(i, *size, exposure=exposure, reset=i == CUT) for i, exposure in enumerate(EXPOSURES)]
+    frames = [noisy(i, *size, exposure=np.log2(exposure), reset=i == CUT) for i, exposure in enumerate(EXPOSURES)]
     frames[1][Role.COLOUR][3:9, 4:10] = frames[1][Role.DEPTH][5, 6] = np.nan
     frames[1][Role.NORMAL][7, 8] = np.inf
     return frames

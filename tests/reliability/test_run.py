@@ -145,7 +145,7 @@ def test_log_has_an_object_for_each_event(runs):
     assert [item["frame"] for item in frames] == list(range(1, 9))
     manifest = json.loads((runs.folder / NAME).read_text())["outputs"]
     assert all(manifest[os.path.basename(item["file"])]["sha256"] == item["sha256"] for item in frames)
-    assert set(frames[0]) == {"time", "run", "event", "frame", "file", "bytes", "sha256", "ms", "passes", "exposure",
+    assert set(frames[0]) == {"time", "run", "event", "frame", "file", "bytes", "sha256", "ms", "passes", "exposure_ev",
                               "cut", "broken"}
     assert events[-1]["written"] == 8 and events[-1]["exit_code"] == 0
 

@@ -44,7 +44,7 @@ def colours(frames: list[Frame], model: str, device: Device, stops: float = 0.0)
     """What a pipeline that begins with these frames makes of them. Runs of frames of one spec have one session, so that
     they are to be compared: on a GPU two sessions may use different algorithms."""
     chain = held(model, device, "metadata")
-    return [chain(replace(frame, exposure=2.0**stops))[Role.COLOUR] for frame in frames]
+    return [chain(replace(frame, exposure=stops))[Role.COLOUR] for frame in frames]
 
 
 def on(

@@ -57,7 +57,7 @@ def both_ways(
     """Exposed colours of frames in order."""
     later = Backwards(Held(frames), device, exposure, "none", model=model)
     passes = Pipeline([DenoiseUpscale(model=model), BothWays()], device, exposure, "none")
-    return [passes(later(frame))[Role.COLOUR] * np.float32(passes.exposure) for frame in frames]
+    return [passes(later(frame))[Role.COLOUR] * np.float32(passes.exposure_factor) for frame in frames]
 
 
 BOTH = on(cpu=("s.fp32",))

@@ -45,7 +45,7 @@ def test_denoised_light_is_finite_and_in_range(model: str, device: Device) -> No
     for name, change in HARD.items():
         denoiser = held(model, device)
         for frame in [change(noisy(number, 24, 32)) for number in (1, 2)] + [noisy(3, 24, 32)]:
-            assert_light(denoiser(frame)[Role.COLOUR], denoiser.exposure, name)
+            assert_light(denoiser(frame)[Role.COLOUR], denoiser.exposure_factor, name)
 
 
 def test_shown_light_is_within_the_display(shown: Pipeline) -> None:
@@ -123,7 +123,7 @@ def test_dim_light_after_bright_light_is_not_negative(device: Device) -> None:
     first, second, last = list(read_sequence(ROOM / "noisy.####.exr", "1-3"))
     chain = pipeline("s.fp32", device, "auto")
     for frame in (LIGHTS["largest half"](first), LIGHTS["largest half"](second), last):
-        assert_light(chain(frame)[Role.COLOUR], chain.exposure)
+        assert_light(chain(frame)[Role.COLOUR], chain.exposure_factor)
 
 
 @on(cpu=("s.int8", "s.int8.1x"), gpu=("s.fp16", "s.fp16.1x"))

@@ -32,7 +32,7 @@ def quality(folder: Path, model: str, kind: str) -> float:
         colour, reference = chain(frame)[Role.COLOUR], material.reference(frame.number)[Role.COLOUR]
         if kind == "at 1x":
             reference = reference.reshape(colour.shape[0], 2, colour.shape[1], 2, 3).mean((1, 3))
-        found.append(psnr(*(to_codes(light, chain.exposure) for light in (colour, reference))))
+        found.append(psnr(*(to_codes(light, chain.exposure_factor) for light in (colour, reference))))
     return float(np.mean(found))
 
 

@@ -27,6 +27,7 @@ PAGE, SAMPLE = ROOT / "build/page", ROOT / "samples/room/noisy.0006.exr"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 SECONDS, GPU_SECONDS = 60, 600
 DROP = """
+document.getElementById("options").elements.network.value = "NETWORK";
 const file = await (await fetch("/given.exr")).arrayBuffer(), data = new DataTransfer();
 data.items.add(new File([file], "given.exr"));
 dispatchEvent(new DragEvent("drop", { dataTransfer: data }));
@@ -74,14 +75,16 @@ def test_the_models_compute_what_the_pass_does(tmp_path):
     export.main(tmp_path)
     whole = frame_of(SAMPLE)
     part = replace(whole, planes={role: np.ascontiguousarray(plane[:51, :77]) for role, plane in whole.planes.items()})
-    for frame, scale in ((part, 2), (part, 1)):
-        wanted = postfx.Pipeline([postfx.DenoiseUpscale(scale=scale, model="s.fp32")])(frame)
+    for frame, scale, tag in ((part, 2, "s"), (part, 1, "s"), (whole, 2, "m"), (part, 1, "m")):
+        wanted = postfx.Pipeline([postfx.DenoiseUpscale(scale=scale, model=f"{tag}.fp32")])(frame)
         exposure = np.float32(2 ** measure(frame[Role.COLOUR]))
         feeds = {name: frame[Role(name)] for name in export.PLANES}
         feeds["params"] = np.float32([exposure, *frame.jitter, 1])
-        session = ort.InferenceSession(tmp_path / f"denoise.{scale}x.onnx", providers=["CPUExecutionProvider"])
+        session = ort.InferenceSession(tmp_path / f"denoise.{tag}.{scale}x.onnx", providers=["CPUExecutionProvider"])
         (clean,) = session.run(None, feeds)
         np.testing.assert_allclose(np.log1p(clean), np.log1p(wanted[Role.COLOUR]), atol=3e-3)
+        if frame is whole:
+            continue
         shown = postfx.Pipeline([postfx.ToneMap()], exposure=float(np.log2(exposure)))(
             replace(frame, planes={Role.COLOUR: clean}))
         look = ort.InferenceSession(tmp_path / "look.aces2.onnx", providers=["CPUExecutionProvider"])
@@ -149,27 +152,29 @@ def in_chromium(script: str, files: dict[str, Path], folder: Path, gpu: bool = F
     return heard[0]
 
 
-def test_a_dropped_file_is_denoised_and_shown(tmp_path):
-    told = in_chromium(DROP, {"given.exr": SAMPLE}, tmp_path)
+@pytest.mark.parametrize("network", ["s", pytest.param("m", marks=pytest.mark.soak)])
+def test_a_dropped_file_is_denoised_and_shown(network, tmp_path):
+    told = in_chromium(DROP.replace("NETWORK", network), {"given.exr": SAMPLE}, tmp_path)
     assert "320x180 to 640x360" in told["status"] and told["picture"] == [640, 360], told
     assert "motion.X, motion.Y" in told["planes"] and "not there" not in told["planes"]
     assert all(name.startswith("http://127.0.0.1:") for name in told["loaded"])  # nothing comes from elsewhere
-    assert_it_is_the_passes_picture(told["png"], tmp_path)
+    assert_it_is_the_passes_picture(told["png"], network, tmp_path)
 
 
 @pytest.mark.soak
 def test_webgpu_shows_the_same(tmp_path):
-    told = in_chromium(DROP, {"given.exr": SAMPLE}, tmp_path, gpu=True)
+    told = in_chromium(DROP.replace("NETWORK", "s"), {"given.exr": SAMPLE}, tmp_path, gpu=True)
     runtimes = {name.rsplit("/", 1)[1] for name in told["loaded"] if name.endswith(".min.mjs")}
     assert runtimes == {"ort.webgpu.min.mjs"}, told["status"]  # it did not fall back to the CPU
-    assert_it_is_the_passes_picture(told["png"], tmp_path)
+    assert_it_is_the_passes_picture(told["png"], "s", tmp_path)
 
 
-def assert_it_is_the_passes_picture(png: str, folder: Path) -> None:
+def assert_it_is_the_passes_picture(png: str, network: str, folder: Path) -> None:
     """The page's picture is the one that the passes make, but for the rounding to 8 bits and of the last bits."""
     image = pytest.importorskip("PIL.Image")
     (folder / "picture.png").write_bytes(b64decode(png))
-    wanted = postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model="s.fp32"), postfx.ToneMap()])(frame_of(SAMPLE))
+    passes = [postfx.DenoiseUpscale(scale=2, model=f"{network}.fp32"), postfx.ToneMap()]
+    wanted = postfx.Pipeline(passes)(frame_of(SAMPLE))
     shown = np.asarray(image.open(folder / "picture.png").convert("RGB")) / np.float32(255)
     error = np.abs(shown - wanted[Role.COLOUR])
     assert error.max() < 4 / 255 and error.mean() < 0.5 / 255

@@ -99,7 +99,7 @@ class Stack:
     pairs: tuple[str, ...] = ()
 
 
-def grey_exposure(colour: np.ndarray) -> float:
+def grey_factor(colour: np.ndarray) -> float:
     """Multiplier that brings the log-average luminance of (H, W, 3) to 0.18."""
     luminance = (colour.astype(np.float64) @ np.array(LUMINANCE)).clip(min=0)  # samples of volumes may be negative
     return float(0.18 / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean() + 1e-9))))
@@ -145,7 +145,7 @@ def load(path: Path, device: torch.device, guides: bool = False, pairs: tuple[st
         torch.from_numpy(keep).to(device),
         plane("reference"),
         torch.cat([plane(f"guide_{name}") for name, _ in GUIDES], 1) if guides else None,
-        grey_exposure(reference[0]),
+        grey_factor(reference[0]),
         plane("half") if "half" in data.files else None,
         [f"{v}_half" in data.files and bool(data[f"{v}_half"]) for v in variants],
         [f"{v}_exact" in data.files and bool(data[f"{v}_exact"]) for v in variants],

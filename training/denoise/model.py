@@ -423,7 +423,7 @@ def filter_pyramid(colour: Tensor, importance: Tensor, fine: Tensor, levels: tup
     the whole picture.
     """
     valid = [ops.valid_area(colour, height, width)]
-    colours, weight = [colour], importance * valid[0]
+    colours, weight = [colour], importance.clamp(min=ops.LEAST_IMPORTANCE) * valid[0]
     for _ in levels:
         pooled, weight = ops.pool(colours[-1], weight)
         colours.append(pooled)

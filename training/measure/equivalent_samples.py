@@ -160,10 +160,10 @@ def find_crossing(counts: np.ndarray, curve: np.ndarray, error: float) -> float 
 
 def measure(args: argparse.Namespace) -> None:
     """Write the counts and the plot."""
-    from postfx.bench.metrics import grey_exposure
+    from postfx.bench.metrics import grey_factor
 
     view = load_view(args.view)
-    exposure = grey_exposure((view["reference_a"] + view["reference_b"]) / 2)
+    exposure = grey_factor((view["reference_a"] + view["reference_b"]) / 2)
     errors = Errors(view["reference_a"], view["reference_b"], exposure)
     rows = [errors(mean) for mean in view["means"]]
     curves = {name: np.array([row[name] for row in rows]) for name in MEASURES}

@@ -26,7 +26,7 @@ import numpy as np
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.bench.baselines import HostKernels, Oidn
-from postfx.bench.metrics import grey_exposure
+from postfx.bench.metrics import grey_factor
 from postfx.colour.views import to_codes
 from postfx.frame import Role
 from training.datagen.clip_file import load_clip
@@ -42,7 +42,7 @@ def frames_of(clip: dict, variant: int, exposure: float) -> Iterator[Frame]:
     for t in range(len(clip["reference"])):
         planes = {Role(name): clip[f"v{variant}_{name}"][t].astype(np.float32) for name in PLANES}
         planes[Role.DEPTH] = planes[Role.DEPTH][..., None]
-        yield Frame(planes, number=t, exposure=exposure, reset=bool(clip["reset"][t]))
+        yield Frame(planes, number=t, exposure=float(np.log2(exposure)), reset=bool(clip["reset"][t]))
 
 
 def halves(clip: dict, variant: int) -> tuple[np.ndarray, np.ndarray]:
@@ -66,7 +66,7 @@ def network_method(model: str, scale: float) -> Method:
 
 def score_render(clip: dict, variant: int, method: Method) -> float:
     """PSNR in dB of the second half of the frames."""
-    exposure = grey_exposure(clip["reference"][0].astype(np.float32).clip(0))
+    exposure = grey_factor(clip["reference"][0].astype(np.float32).clip(0))
     first, second = halves(clip, variant)
     errors = []
     for t, frame in enumerate(frames_of(clip, variant, exposure)):

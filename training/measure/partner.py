@@ -32,8 +32,8 @@ def frames_of(clip: dict, variant: int, exposure: float) -> Iterator[Frame]:
     for t in range(len(clip["reference"])):
         planes = {Role(name): np.atleast_3d(clip[f"v{variant}_{name}"][t].astype(np.float32)) for name in PLANES}
         jitter = tuple(float(value) for value in clip[f"v{variant}_jitter"][t])
-        yield Frame(planes, number=t + 1, jitter=jitter, exposure=exposure, reset=bool(clip["reset"][t]),
-                    samples=int(clip[f"v{variant}_spp"]))
+        yield Frame(planes, number=t + 1, jitter=jitter, exposure=float(np.log2(exposure)),
+                    reset=bool(clip["reset"][t]), samples=int(clip[f"v{variant}_spp"]))
 
 
 def reference_of(clip: dict, height: int) -> np.ndarray:
@@ -84,7 +84,7 @@ def score(clip: dict, variant: int, scale: int, model: str, weight: float | None
     scores = {name: SequenceScore() for name in ways}
     for frame, colour in zip(frames_of(clip, variant, exposure), wanted, strict=True):
         for name, way in ways.items():
-            scores[name].add(way(frame), Frame({Role.COLOUR: colour}, exposure=exposure), frame)
+            scores[name].add(way(frame), Frame({Role.COLOUR: colour}, exposure=float(np.log2(exposure))), frame)
     found = {name: made.summary() for name, made in scores.items()}
     return {name: tuple(float(figures[f"{figure}_late"] or np.nan) for figure in SHOWN)
             for name, figures in found.items()}

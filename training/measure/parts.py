@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from postfx.bench.baselines import HostKernels, Oidn
-from postfx.bench.metrics import grey_exposure, psnr
+from postfx.bench.metrics import grey_factor, psnr
 from postfx.colour.displays import srgb_encode
 from postfx.frame import Frame, Role
 from postfx.passes.denoise import PART_FILTERS, DenoiseUpscale
@@ -60,7 +60,7 @@ def graded(frame: Frame) -> Frame:
 
 def shown_psnr(result: np.ndarray, reference: np.ndarray) -> float:
     """PSNR of a displayed picture, exposed like its reference."""
-    exposure = grey_exposure(reference)
+    exposure = grey_factor(reference)
     exposed = [exposure * np.maximum(light, 0) for light in (result, reference)]
     return psnr(*(srgb_encode(light / (1 + light)) for light in exposed))
 

@@ -78,7 +78,7 @@ def frame(colour: Picture, albedo: Picture, depth: Picture | None = None, number
               Role.ROUGHNESS: np.ones((*size, 1)), Role.DEPTH: np.full((*size, 1), 5.0) if depth is None else depth,
               Role.MOTION: np.zeros((*size, 2))}
     return Frame({role: np.ascontiguousarray(plane, np.float32) for role, plane in planes.items()}, number=number,
-                 exposure=1.0, reset=number == 0)
+                 exposure=0.0, reset=number == 0)
 
 
 def letters(size: int, random: np.random.Generator) -> Picture:
@@ -252,7 +252,7 @@ def _kernels() -> HostKernels:
 
 
 def _bare(one: Frame) -> Frame:
-    return Frame({role: one[role] for role in (Role.COLOUR, Role.MOTION)}, number=one.number, exposure=1.0,
+    return Frame({role: one[role] for role in (Role.COLOUR, Role.MOTION)}, number=one.number, exposure=0.0,
                  reset=one.reset)
 
 

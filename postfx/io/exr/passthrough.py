@@ -94,7 +94,8 @@ def enlarge_rows(
 
 
 _OUTDATED = (
-    "acesimagecontainerflag", "postfx:exposureapplied", "postfx:exposureused", "postfx:jitter", "postfx:models",
+    "acesimagecontainerflag", "postfx:exposureapplied", "postfx:exposureappliedev",
+    "postfx:exposureused", "postfx:exposureusedev", "postfx:jitter", "postfx:models",
     "postfx:reset", "postfx:settings", "postfx:spp", "postfx:version", "preview", "thumbnail",
 )
 # What describes the input's storage, its samples or channels that are not written.
@@ -114,7 +115,7 @@ _DROPPED = (
     "tiff:",
     "wrapmodes",
 )
-_SCENE_REFERRED = ("chromaticities", "colorinteropid", "postfx:exposure")
+_SCENE_REFERRED = ("chromaticities", "colorinteropid", "postfx:exposure", "postfx:exposureev")
 _NAMED_TYPES = {"timeCode": "timecode", "keyCode": "keycode", "framesPerSecond": "rational"}
 _STORED_NAMES = {name: stored for stored, name in EXR_NAMES.items()}
 _TUPLE_TYPES = {(float, 9): "matrix33", (float, 16): "matrix", (float, 3): "vector", (int, 2): "vector2i"}

@@ -65,6 +65,9 @@ MAX_COLOUR, MAX_LIGHT = 1e4, np.float32(1e30)
 brighter keeps its hue."""
 STEEPEST = np.float32(8)  # logarithm of the largest weight of a filter, and minus that of the smallest
 TINY = np.float32(1e-8)  # the smallest sum of weights that counts
+LEAST_IMPORTANCE = np.float32(1e-30)
+"""Weight of a pixel in the mean of its cell at least: where a network gives none to a whole cell, the cell is not
+black."""
 MAX_DEPTH, MAX_FLOAT = np.float32(1e10), np.float32(3e38)
 MOST_MOTION = np.float32(1e5)  # pixels a frame, more than a picture can have
 NEAREST, FARTHEST = np.float32(1e-6), np.float32(1e9)

@@ -2,6 +2,7 @@
 #pragma once
 
 constexpr float TINY = 1e-8f;
+constexpr float LEAST_IMPORTANCE = 1e-30f;
 constexpr float STEEPEST = 8.0f;
 constexpr float LEAST_LOG_ERROR = -14.0f;
 constexpr float MOST_LOG_ERROR = 0.0f;

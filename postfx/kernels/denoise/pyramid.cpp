@@ -8,18 +8,27 @@ typedef View<float, 3> NewPlanes;
 
 // Pooling: cells begin at given rows and columns of the finer level; pixels beyond it have no weight.
 
+FN bool is_beyond(const Planes& planes, Long y, Long x) {
+    return y < 0 || y >= planes.size[1] || x < 0 || x >= planes.size[2];
+}
+
 template <class F, bool EDGE>
 FN F finer_pixel(const Planes& planes, Long k, Long y, Long x) {
-    if (EDGE && (y < 0 || y >= planes.size[1] || x < 0 || x >= planes.size[2])) return F(0.0f);
+    if (EDGE && is_beyond(planes, y, x)) return F(0.0f);
     return pick<F, 2>(planes(k, y) + x);
+}
+
+template <class F, bool EDGE> FN F finer_weight(const Planes& weights, Long y, Long x) {
+    if (EDGE && is_beyond(weights, y, x)) return F(0.0f);
+    return larger<F>(pick<F, 2>(weights(0, y) + x), F(LEAST_IMPORTANCE));
 }
 
 template <class F, bool EDGE>
 FN void pool_cell(const Planes& finer, const Planes& weights, Long v, Long u, NewPlanes& level,
                   NewPlanes& importance, Long y, Long x) {
     const Cell<F> cell = cell_of<F>(
-        finer_pixel<F, EDGE>(weights, 0, v, u), finer_pixel<F, EDGE>(weights, 0, v, u + 1),
-        finer_pixel<F, EDGE>(weights, 0, v + 1, u), finer_pixel<F, EDGE>(weights, 0, v + 1, u + 1));
+        finer_weight<F, EDGE>(weights, v, u), finer_weight<F, EDGE>(weights, v, u + 1),
+        finer_weight<F, EDGE>(weights, v + 1, u), finer_weight<F, EDGE>(weights, v + 1, u + 1));
     for (Long k = 0; k < level.size[0]; k++) {
         store<F>(level(k, y) + x,
                  pooled<F>(cell, finer_pixel<F, EDGE>(finer, k, v, u),

@@ -9,7 +9,7 @@ struct Pool {
         total = 0.25f * (weights[0] + weights[1] + weights[2] + weights[3]);
     }
     __device__ float mean(const float (&values)[4]) const {
-        return 0.25f / (total + TINY) * (weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
+        return 0.25f / fmaxf(total, LEAST_IMPORTANCE) * (weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
                                          + weights[3] * values[3]);
     }
 };
@@ -22,7 +22,8 @@ __device__ inline Pool pool_of(const View& importance, int top, int left, size_t
     for (int i = 0; i < 4; i++) {
         const int v = top + i / 2, u = left + i % 2;
         there[i] = size_t(within(v, height)) * width + within(u, width);
-        found.weights[i] = v >= 0 && v < height && u >= 0 && u < width ? importance.at[there[i]] : 0.0f;
+        const bool held = v >= 0 && v < height && u >= 0 && u < width;
+        found.weights[i] = held ? fmaxf(importance.at[there[i]], LEAST_IMPORTANCE) : 0.0f;
     }
     found.weigh();
     return found;

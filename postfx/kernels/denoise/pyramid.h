@@ -10,7 +10,7 @@ template <class F> struct Cell {
 
 template <class F> FN Cell<F> cell_of(F a, F b, F c, F d) {
     const F total = 0.25f * (a + b + c + d);
-    const F share = 0.25f / (total + TINY);
+    const F share = 0.25f / larger<F>(total, F(LEAST_IMPORTANCE));
     return {{share * a, share * b, share * c, share * d}, total};
 }
 

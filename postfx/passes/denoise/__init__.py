@@ -331,9 +331,9 @@ class DenoiseUpscale(Pass):
             self._fresh = False
             return ready.encode_empty(frame)
         band = None if cells is None else ready.frames.layout(cells)
-        gain = frame.exposure / self._exposure if keep else 1.0
+        gain = frame.exposure_factor / self._exposure if keep else 1.0
         self._widen(commands, frame, ready, keep)
-        params = np.array([frame.exposure, *frame.jitter, gain], np.float32)
+        params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
         self._used = self._tags[self._ladder.rung if self._ladder else 0]
         ready.frames.use(ready.models[self._used])
         still = keep and gain == 1 and self._is_still(frame)
@@ -360,7 +360,7 @@ class DenoiseUpscale(Pass):
             ready.own[name].use(ready.models[self._used])
             own_still = still and own_params[GAIN] == params[GAIN]
             ready.own[name].encode(commands, seen, own_params, keep, own_still, band, (), {"output": output})
-        self._fresh, self._exposure = not frame.unusable, frame.exposure
+        self._fresh, self._exposure = not frame.unusable, frame.exposure_factor
         colour = ready.restore.encode(commands, frame, colour, rows, cells) if ready.restore else colour
         if ready.strength:
             colour = ready.strength.encode(commands, frame, colour, rows, savings.note_unblended)

@@ -276,7 +276,7 @@ class Reactive:
             return {}
         if self._role is Role.REACTIVE:
             return {"reactive": frame[Role.REACTIVE]}
-        self._difference.upload([frame.exposure, self._option.scale, self._option.threshold])
+        self._difference.upload([frame.exposure_factor, self._option.scale, self._option.threshold])
         commands.run(REACTIVE, "reactive", colour=frame[Role.COLOUR], opaque_colour=frame[Role.OPAQUE_COLOUR],
                      difference=self._difference, reactive=self._output)
         return {"reactive": self._output}
@@ -315,7 +315,7 @@ class Restore:
             return denoised
         self._rows = rows
         self._judge_only(np.ones(self._tiles, bool) if cells is None else tiles_with(cells))
-        self._params.upload([frame.exposure, 0.0, 0.0, 0.0])
+        self._params.upload([frame.exposure_factor, 0.0, 0.0, 0.0])
         self._evidence.upload([min(frame.samples or MANY, MOST) / MANY])
         planes = {**self._tensors, "colour": frame[Role.COLOUR], "denoised": denoised}
         for work in (JUDGE, DETAIL, RESTORE):

@@ -43,7 +43,7 @@ def test_round_trip(tmp_path: Path) -> None:
         for name, values in expected.items():
             assert np.array_equal(frame.planes[Role(name)], values), name
         assert frame.jitter == pytest.approx((0.25, -0.5))
-        assert (frame.samples, frame.exposure, frame.fov_x) == (4, 1.5, 60.0)
+        assert (frame.samples, frame.exposure_factor, frame.fov_x) == (4, 1.5, 60.0)
     moved = np.array([1.0, 2, 3, 1]) @ np.asarray(read[0].world_to_camera)
     assert np.allclose(moved, [0, 0, 0, 1])
 

@@ -84,11 +84,11 @@ def test_a_clip_keeps_the_other_half_of_its_reference(tmp_path):
 def test_a_reference_with_negative_samples_has_an_exposure():
     """Volumes are sampled with weights of both signs, and few samples may sum to less than nothing."""
     pytest.importorskip("torch")
-    from training.denoise.dataset import grey_exposure
+    from training.denoise.dataset import grey_factor
 
     colour = np.full((8, 8, 3), 0.18)
     colour[0, 0] = -2.0
-    assert 0.5 < grey_exposure(colour) < 2.0
+    assert 0.5 < grey_factor(colour) < 2.0
 
 
 @pytest.mark.slow
