@@ -9,6 +9,8 @@ from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
 from postfx.files import make_printable
 from postfx.frame import LOG, Frame, Role
@@ -18,6 +20,7 @@ from postfx.io.frame_reader import Area, FrameFiles
 from postfx.io.parts import parse_parts
 from postfx.io.pattern import VIEW, Pattern, Source, format_frames, locate, parse_frames
 from postfx.io.windows import scale_windows
+from postfx.kernels.statistics import is_finite
 from postfx.masks.cryptomatte import Coverage, parse_leave
 from postfx.repair import Fireflies, clamp_fireflies, parse_limit
 from postfx.system import Scratch
@@ -26,7 +29,8 @@ if TYPE_CHECKING:
     from postfx.io.estimated_motion import Picture
 
 MOTIONS = AUTO, FILE, ESTIMATE = "auto", "file", "estimate"
-"""Where motion comes from: estimated where files have none, or only zeros; from files alone; always estimated."""
+"""Where motion comes from: estimated where files have none, or only zeros, or no vector; from files alone; always
+estimated."""
 
 Frames = dict[int, dict[str, Path]]
 """Frame number -> plane word -> file."""
@@ -350,9 +354,11 @@ class Sequence:
 
     def _estimate_motion(self, frame: Frame, begins: bool, is_wanted: bool) -> None:
         """Give a frame motion that is estimated from its planes and those of the frame before it on the disk, where it
-        is wanted, or where the files hold only zeros and `motion` is 'auto'."""
-        is_zero = self.motion == AUTO and Role.MOTION in frame and not frame[Role.MOTION].any()
-        if not is_wanted and not (is_zero and any(role in frame for role in SEEN)):
+        is wanted, and where the files hold only zeros or no vector and `motion` is 'auto'."""
+        stored = frame.planes.get(Role.MOTION) if self.motion == AUTO and not is_wanted else None
+        unknown = None if stored is None or is_finite(stored) else np.isnan(stored).any(axis=2)
+        is_short = stored is not None and (unknown is not None or not stored.any())
+        if not is_wanted and not (is_short and any(role in frame for role in SEEN)):
             return
         from postfx.io.estimated_motion import motion_between, picture_of  # few need it, and its kernels take time
 
@@ -361,10 +367,14 @@ class Sequence:
         assert picture is not None, "one of SEEN was read"
         motion = motion_between(before, picture, frame.planes.get(Role.DEPTH))
         self._pictures[self.view] = frame.number, picture
-        if is_wanted or motion.any():
-            seen = ", ".join(role for role in (*SEEN, Role.DEPTH) if role in frame.planes)
-            self.warn(f"motion is estimated from {seen}, not taken from the files (--motion file: from them alone)")
-            frame.planes[Role.MOTION] = motion
+        if not (is_wanted or unknown is not None or motion.any()):
+            return
+        seen = ", ".join(role for role in (*SEEN, Role.DEPTH) if role in frame.planes)
+        some = "" if unknown is None else "some "
+        self.warn(f"{some}motion is estimated from {seen}, not taken from the files (--motion file: from them alone)")
+        if unknown is not None:
+            motion = np.where(unknown[..., None], motion, frame.planes[Role.MOTION])
+        frame.planes[Role.MOTION] = motion
 
     def _picture_before(self, number: int) -> Picture | None:
         """Of the frame before on the disk, whatever was read last; None where there is none, or it cannot be read."""
