@@ -137,10 +137,6 @@ BOMBS: dict[str, Callable[[], None]] = {
     "a data window of 2^31 rows": _window("dataWindow", 0, 0, 8, 2**31 - 1),
     "a display window of 2^31 a side": _window("displayWindow", 0, 0, 2**31 - 1, 2**31 - 1),
     "a data window far away": _window("dataWindow", 2**30, 2**30, 2**30 + 8, 2**30 + 6),
-    "a million channels": _channels(lambda number: b"c%d" % number),
-    "a million channels of one name": _channels(lambda _: b"R"),
-    "16,000 layers of channels": _channels(lambda number: b"layer%d.R" % number, 16_000),
-    "60,000 parts": _parts,
     "tiles of 2^31": lambda: _exr(lambda header: header.set("tiles", "tiledesc", struct.pack(
         "<IIB", 2**31 - 1, 2**31 - 1, 0))),
     "a worldToCamera of 2^20 numbers": lambda: _exr(lambda header: header.set("worldToCamera", "m44f", bytes(1 << 22))),
@@ -163,6 +159,10 @@ BOMBS: dict[str, Callable[[], None]] = {
     "a profile nested 100,000 deep": _profile(b"a = " + b"[" * DEPTH + b"]" * DEPTH),
     "a manifest nested 100,000 deep": lambda: Manifest.from_json("[" * DEPTH + "]" * DEPTH) and None,
     "10^18 frames": lambda: parse_frames("1-1000000000000000000") and None,
+    "a million channels": _channels(lambda number: b"c%d" % number),
+    "a million channels of one name": _channels(lambda _: b"R"),
+    "16,000 layers of channels": _channels(lambda number: b"layer%d.R" % number, 16_000),
+    "60,000 parts": _parts,
     "15360x8640 of black in some kilobytes": _large_black,
 }
 

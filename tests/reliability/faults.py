@@ -26,6 +26,7 @@ from postfx.errors import PostfxError
 from postfx.runs.manifest import NAME, verify
 from postfx.runtime import Device, Library
 from tests.fuzz.bombs import BOMBS
+from tests.fuzz.mutate import KINDS
 from tests.reliability.conftest import FRAMES, QUICK, write_frame
 from tests.reliability.faulty import DAMAGE, Faulty
 from tests.reliability.model_files import model_of, outside
@@ -48,15 +49,10 @@ class Shot:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self._numbers = folder, count(1)
-        self.make_inputs(folder / "in")
-        self.whole = self.files_of(self.run(folder / "whole"))
-
-    @staticmethod
-    def make_inputs(folder: Path) -> str:
-        folder.mkdir()
+        (folder / "in").mkdir()
         for number in range(1, FRAMES + 1):
-            write_frame(folder / f"in.{number:04d}.exr", number)
-        return str(folder / "in.####.exr")
+            write_frame(folder / f"in/in.{number:04d}.exr", number)
+        self.whole = self.files_of(self.run(folder / "whole"))
 
     @staticmethod
     def files_of(folder: Path) -> dict[str, bytes]:
@@ -127,10 +123,10 @@ def rewritten_inputs(shot: Shot) -> Iterator[Callable[[], None]]:
     for how, number in product(DAMAGE, (3, 6)):
         def rewrite(how: str = how, number: int = number) -> None:
             folder = shot.new_folder()
-            source = shot.make_inputs(folder.with_name(f"{folder.name} in"))
-            fault = {"at": READ, "do": "damage", "how": how, "calls": [2],
-                     "file": str(Path(source).with_name(f"in.{number:04d}.exr"))}
-            in_words(*shot.start(shot.words(folder, shot=source), fault).finished(HANGS_S))
+            source = Path(shutil.copytree(shot.folder / "in", folder.with_name(f"{folder.name} in")))
+            fault = {"at": READ, "do": "damage", "how": how, "calls": [2], "file": str(source / f"in.{number:04d}.exr")}
+            words = shot.words(folder, shot=str(source / "in.####.exr"))
+            in_words(*shot.start(words, fault).finished(HANGS_S))
             found = verify(folder) if (folder / NAME).exists() else None
             assert found is None or not (found.altered or found.missing or found.unknown), "verify"
             if how != "of one frame later":
@@ -144,7 +140,7 @@ def deleted_outputs(shot: Shot) -> Iterator[Callable[[], None]]:
     for how, number in product(("gone", "emptied", "cut short"), (2, 4)):
         def delete(how: str = how, number: int = number) -> None:
             folder = shot.new_folder()
-            fault = {"at": WRITE, "do": "damage", "how": how, "calls": [number], "when": "after",
+            fault = {"at": WRITE, "do": "damage", "how": how, "calls": [number + 2],
                      "file": str(folder / f"out.{number:04d}.exr")}
             in_words(*shot.start(shot.words(folder), fault).finished(HANGS_S))
             found = verify(folder)
@@ -320,6 +316,7 @@ def main(names: list[str], share: float, at_once: int) -> int:
         shot = Shot(folder) if any(GROUPS[name].make for name in chosen) else None
         for name in chosen:
             make, (kind, most) = GROUPS[name].make, GROUPS[name].damaged
+            assert make or kind in KINDS, name
             if make is None or shot is None:
                 counts[name] = max(1, round(share * most))
                 begun[name] = [pool.submit(damage, kind, counts[name])]
