@@ -60,7 +60,8 @@ def convert(
 ) -> np.ndarray:
     """Stored values (height, width, channels) of one plane in postfx's convention, float32; the input may be reused.
 
-    Motion that stands for none becomes NaN, both channels. Of a plane of another `height` these are the rows from the `first` on.
+    Motion that stands for none becomes NaN, both channels. Of a plane of another `height` these are the rows from the
+    `first` on.
     """
     height = plane.shape[0] if height is None else height
     if rule.role is Role.DEPTH:
