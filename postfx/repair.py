@@ -34,9 +34,9 @@ def repair_nonfinite(
     none, as most that is without vectors stands still. A bad pixel of the colour gets the mean of its finite
     neighbours, if at least 6 of 8 are finite (in proportion at the picture's edge). What is left of blocks of up to
     4 x 4 pixels is filled from the rim inwards. Larger blocks, lines two pixels wide and suns cannot be repaired, as
-    nothing tells what they should show: they stay, and passes take NaN for 0 and infinities for the largest light. If more than half of
-    the colour is bad, all bad pixels become 0. The given frame does not change. `scratch` is the memory budget for
-    looking at planes and copying them.
+    nothing tells what they should show: they stay, and passes take NaN for 0 and infinities for the largest light. If
+    more than half of the colour is bad, all bad pixels become 0. The given frame does not change. `scratch` is the
+    memory budget for looking at planes and copying them.
     """
     found = find_nonfinite({role: frame.planes[role] for role in roles}, scratch)
     if Role.MOTION in found:
