@@ -1,4 +1,5 @@
-"""Writes the table of docs/lab/doctor.md and the picture of docs/howto/doctor.md: every mistake, and the finding and plane that name it.
+"""Writes the table of docs/lab/doctor.md, every mistake with the finding and plane that name it, and the picture of
+docs/howto/doctor.md.
 
 python -m tests.doctor.table
 """
