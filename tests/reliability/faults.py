@@ -258,7 +258,7 @@ class Group:
 
 
 GROUPS = {
-    "exr": Group("EXR files with bytes changed, cut, doubled or swapped", damaged=("exr", 400)),
+    "exr": Group("EXR files with bytes changed, cut, doubled or swapped", damaged=("exr", 500)),
     "hdr": Group("Radiance files, likewise", damaged=("hdr", 100)),
     "cryptomatte": Group("manifests of ids, in the header and beside it", damaged=("cryptomatte", 100)),
     "settings": Group("`postfx.toml`", damaged=("settings", 120)),
