@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-COUNTS = {"exr": 150, "settings": 200, "cube": 100, "spi3d": 50, "csp": 50, "cryptomatte": 40, "hdr": 60, "bomb": 22}
+COUNTS = {"exr": 150, "settings": 200, "cube": 100, "spi3d": 50, "csp": 50, "cryptomatte": 80, "hdr": 60, "bomb": 22}
 """Inputs of each kind; more by hand: `python -m tests.fuzz.mutate exr 10000`."""
 
 
