@@ -82,6 +82,7 @@ def install(fault):
 
 def run(faults, arguments, said):
     os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), sys.stderr.fileno())
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     for fault in faults:
         install(fault)
     sys.exit(main(arguments))
