@@ -53,7 +53,7 @@ class Picture:
     Attributes:
         light: (rows, columns, 2) log2 of the light of both halves of each cell, without layout.
         guides: role -> (rows, columns, 2, channels) with layout: diffuse albedo, normal, log2 of depth.
-        motion: (rows, columns, 2) in cells, or None.
+        motion: (rows, columns, 2) in cells, NaN where unknown, or None.
         cell: height and width of a cell as parts of the frame's.
         bands: role -> a guide without layout, of those that were compared so far.
     """
@@ -119,13 +119,14 @@ def relation(before: Picture, now: Picture) -> float | None:
     """Correlation of two frames, one warped onto the other; None where nothing tells.
 
     By the motion vectors; where they do not lead to what is shown, which may be their fault, without motion as well.
-    Frames that have none are compared without motion, then shifted as a whole by what fits best.
+    Frames that lack some or all of them are compared without motion there, then shifted as a whole by what fits best.
     """
-    first = _compare(before, now, np.zeros_like(now.light) if now.motion is None else now.motion)
+    still = np.zeros_like(now.light)
+    is_whole = now.motion is not None and bool(np.isfinite(now.motion).all())
+    first = _compare(before, now, still if now.motion is None else np.nan_to_num(now.motion))
     if first is None or first >= RELATED:
         return first
-    still = np.zeros_like(now.light)
-    other = still + _shift(before, now) if now.motion is None else still
+    other = still if is_whole else still + _shift(before, now)
     return max(first, _compare(before, now, other) or 0.0)
 
 

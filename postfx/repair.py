@@ -30,14 +30,20 @@ def repair_nonfinite(
 ) -> tuple[Frame, dict[Role, int]]:
     """The frame with its colour repaired, and role -> number of pixels that are not finite, for planes that have any.
 
-    An infinite depth is a miss and does not count. A bad pixel of the colour gets the mean of its finite neighbours, if
-    at least 6 of 8 are finite (in proportion at the picture's edge). What is left of blocks of up to 4 x 4 pixels is
-    filled from the rim inwards. Larger blocks, lines two pixels wide and suns cannot be repaired, as nothing tells what
-    they should show: they stay, and passes take NaN for 0 and infinities for the largest light. If more than half of
-    the colour is bad, all bad pixels become 0. The given frame does not change. `scratch` is the memory budget for
-    looking at planes and copying them.
+    An infinite depth is a miss and does not count. Motion that is NaN is unknown: it does not count either, and becomes
+    none, as most that is without vectors stands still. A bad pixel of the colour gets the mean of its finite
+    neighbours, if at least 6 of 8 are finite (in proportion at the picture's edge). What is left of blocks of up to
+    4 x 4 pixels is filled from the rim inwards. Larger blocks, lines two pixels wide and suns cannot be repaired, as
+    nothing tells what they should show: they stay, and passes take NaN for 0 and infinities for the largest light. If
+    more than half of the colour is bad, all bad pixels become 0. The given frame does not change. `scratch` is the
+    memory budget for looking at planes and copying them.
     """
     found = find_nonfinite({role: frame.planes[role] for role in roles}, scratch)
+    if Role.MOTION in found:
+        infinite = found.pop(Role.MOTION) & np.isinf(frame[Role.MOTION]).any(axis=2)
+        motion = still_where_unknown(frame[Role.MOTION], scratch)
+        frame = dataclasses.replace(frame, planes={**frame.planes, Role.MOTION: motion})
+        found |= {Role.MOTION: infinite} if infinite.any() else {}
     counts = {role: int(bad.sum()) for role, bad in found.items()}
     if Role.COLOUR not in found:
         return frame, counts
@@ -47,6 +53,15 @@ def repair_nonfinite(
     else:
         _fill(colour, bad)
     return dataclasses.replace(frame, planes={**frame.planes, Role.COLOUR: colour}), counts
+
+
+def still_where_unknown(motion: np.ndarray, scratch: Scratch | None = None) -> np.ndarray:
+    """Motion (height, width, 2) with 0 where it is not finite; itself where all of it is."""
+    if largest_bits_of(motion) < _INFINITY:
+        return motion
+    known = _copy(motion, scratch)
+    known[_nonfinite(motion, Role.MOTION, scratch)] = 0
+    return known
 
 
 def is_unusable(frame: Frame, counts: dict[Role, int]) -> bool:

@@ -139,6 +139,16 @@ def test_motion_vectors_that_are_wrong_are_no_cuts(room):
     assert cuts(wrong) == []
 
 
+def test_unknown_vectors_are_no_cuts_and_a_join_is_found(picture):
+    """Compared as frames without vectors, also where some are known."""
+    known = np.full((180, 320, 2), np.nan, np.float32)
+    known[:40, :40] = 60, 0
+    frames = [Frame({Role.COLOUR: picture[100:280, at : at + 320], Role.MOTION: known}) for at in range(0, 320, 60)]
+    assert cuts(frames) == []
+    other = np.random.default_rng(7).uniform(0, 1, (45, 80, 3)).astype(np.float32).repeat(4, 0).repeat(4, 1)
+    assert cuts(frames[:3] + [Frame({Role.COLOUR: other, Role.MOTION: known})] * 2) == [3]
+
+
 def test_tiny_and_empty_pictures_are_no_cuts(room):
     small = [Frame({Role.COLOUR: frame[Role.COLOUR][:20, :20]}) for frame in (room[0], turned(room[0]))]
     empty = [Frame({Role.COLOUR: np.full((90, 160, 3), value, np.float32)}) for value in (0.0, 1.0, np.nan)]

@@ -152,7 +152,8 @@ class Between:
         if self._scale > 1:
             whole, bend = (enlarge_motion(np.ascontiguousarray(one), *self._size) for one in (whole, bend))
         if self._has_vectors:
-            whole = self.after[Role.MOTION]
+            given = _without_lost(self.after[Role.MOTION], self._longest)
+            whole = np.where(np.isnan(given), whole, given)
         motion: np.ndarray = whole * np.float32(1 - previous) + bend * np.float32(previous * (previous - 1))
         return motion
 

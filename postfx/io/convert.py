@@ -52,7 +52,7 @@ class Camera:
 
 
 _NO_VECTOR = 65000.0
-"""Stored motion from here on stands for none, as NaN does: renderers write the largest half float, or 1e10."""
+"""Stored motion from here on is unknown, as NaN is: renderers write the largest half float, or 1e10."""
 
 
 def convert(
@@ -60,7 +60,8 @@ def convert(
 ) -> np.ndarray:
     """Stored values (height, width, channels) of one plane in postfx's convention, float32; the input may be reused.
 
-    Of a plane of another `height` these are the rows from the `first` on.
+    Motion that stands for none becomes NaN, both channels. Of a plane of another `height` these are the rows from the
+    `first` on.
     """
     height = plane.shape[0] if height is None else height
     if rule.role is Role.DEPTH:
@@ -73,7 +74,7 @@ def convert(
     if is_known is not None:
         plane = _motion_pixels(plane, rule, camera, *(camera.display_size or (plane.shape[1], height)))
         if not is_known.all():
-            plane[~is_known] = 0
+            plane[~is_known] = np.nan
     if rule.role is Role.NORMAL and rule.space != "world":
         assert camera.world_to_camera is not None, "the plane is not used without a worldToCamera header"
         if rule.space == "view" and np.linalg.det(camera.world_to_camera[:3, :3]) < 0:
@@ -163,18 +164,20 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     ray hits nothing, even under a camera that turns. The surfaces show how the background moves: a point (x, y, 1) at
     depth z was at H (x, y, 1) + e / z, where H is the homography of the plane at infinity and e the epipole (Hartley
     and Zisserman, Multiple View Geometry, 2nd edition, 13.4). The fit gives little weight to things that move by
-    themselves. Misses that have motion keep it. Nothing is filled where the fit is not sure, or where many misses have
-    motion: fog is seen there, and it moves like something nearer.
+    themselves. Misses that have motion keep it, and NaN is none. Nothing is filled where the fit is not sure, or where
+    many misses have motion: fog is seen there, and it moves like something nearer.
     """
     height, width = motion.shape[:2]
     depth = depth.reshape(height, width)
     beyond = np.flatnonzero(depth >= DEPTH_MISS)
-    unmoved = beyond[(motion.reshape(-1, 2)[beyond] == 0).all(axis=1)]
+    stored = motion.reshape(-1, 2)[beyond]
+    unmoved = beyond[((stored == 0) | np.isnan(stored)).all(axis=1)]
     if unmoved.size < max(_DIRECT * beyond.size, 1):
         return False
     step = max(1, round(math.sqrt(depth.size / _POINTS)))
     thin = depth[::step, ::step]
-    places = step * np.argwhere((thin > 0) & (thin < DEPTH_MISS))
+    is_known = np.isfinite(motion[::step, ::step]).all(axis=-1)
+    places = step * np.argwhere((thin > 0) & (thin < DEPTH_MISS) & is_known)
     rows, columns = places[:, 0], places[:, 1]
     moved = motion[rows, columns].astype(np.float64)
     if rows.size < _LEAST_POINTS or np.abs(moved).max() < _STILL:

@@ -21,8 +21,8 @@ AUTO_MOTION = "auto"
 FILE_MOTION = "file"
 ESTIMATED_MOTION = "estimate"
 MOTIONS = (AUTO_MOTION, FILE_MOTION, ESTIMATED_MOTION)
-"""Where motion comes from: estimated where files have none, or only zeros; from files alone; always
-estimated."""
+"""Where motion comes from: estimated where files have none, only zeros, or no vector; from files
+alone; always estimated."""
 
 ALL_VIEWS = "all"
 

@@ -12,6 +12,8 @@ from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
+import numpy as np
+
 from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError
 from postfx.files import make_printable
 from postfx.frame import LOG, Frame, Role
@@ -22,6 +24,7 @@ from postfx.io.pattern import VIEW, Pattern, Source, format_frames, locate, pars
 from postfx.io.read_options import AUTO_MOTION, ReadOptions, parse_views
 from postfx.io.read_plan import Area, Plans, Settled
 from postfx.io.windows import scale_windows
+from postfx.kernels.statistics import is_finite
 from postfx.masks.cryptomatte import Coverage
 from postfx.repair import Fireflies, clamp_fireflies
 
@@ -380,14 +383,14 @@ class Sequence:
 
     def _estimate_motion(self, frame: Frame, begins: bool, is_wanted: bool) -> None:
         """Give a frame motion that is estimated from its planes and those of the frame before it on
-        the disk, where it is wanted, or where the files hold only zeros and the option is
-        'auto'."""
-        is_zero = (
-            self.options.motion == AUTO_MOTION
-            and Role.MOTION in frame
-            and not frame[Role.MOTION].any()
-        )
-        if not is_wanted and not (is_zero and any(role in frame for role in SEEN)):
+        the disk, where it is wanted, and where the files hold only zeros or no vector and the
+        option is 'auto'."""
+        may_fill = self.options.motion == AUTO_MOTION and not is_wanted
+        stored = frame.planes.get(Role.MOTION) if may_fill else None
+        has_unknown = stored is not None and not is_finite(stored)
+        unknown = np.isnan(stored).any(axis=2) if has_unknown else None
+        is_short = stored is not None and (has_unknown or not stored.any())
+        if not is_wanted and not (is_short and any(role in frame for role in SEEN)):
             return
         from postfx.io.estimated_motion import (
             motion_between,
@@ -399,12 +402,16 @@ class Sequence:
         assert picture is not None, "one of SEEN was read"
         motion = motion_between(before, picture, frame.planes.get(Role.DEPTH))
         self._pictures[self.view] = frame.number, picture
-        if is_wanted or motion.any():
-            seen = ", ".join(role for role in (*SEEN, Role.DEPTH) if role in frame.planes)
-            self.warn(
-                f"motion is estimated from {seen}, not taken from the files (--motion file: from them alone)"
-            )
-            frame.planes[Role.MOTION] = motion
+        if not (is_wanted or unknown is not None or motion.any()):
+            return
+        seen = ", ".join(role for role in (*SEEN, Role.DEPTH) if role in frame.planes)
+        some = "" if unknown is None else "some "
+        self.warn(
+            f"{some}motion is estimated from {seen}, not taken from the files (--motion file: from them alone)"
+        )
+        if unknown is not None:
+            motion = np.where(unknown[..., None], motion, frame.planes[Role.MOTION])
+        frame.planes[Role.MOTION] = motion
 
     def _picture_before(self, number: int) -> Picture | None:
         """Of the frame before on the disk, whatever was read last; None where there is none, or it

@@ -13,6 +13,7 @@ from postfx.cuts import CutDetector
 from postfx.frame import Frame, Role
 from postfx.kernels.library import Rows
 from postfx.kernels.statistics import whole
+from postfx.repair import still_where_unknown
 
 LONGEST = 8
 """Longest history that counts, in frames: a longer one hardly improves a result."""
@@ -44,8 +45,9 @@ def motion_to_next(frame: Frame, after: Frame) -> np.ndarray:
     """Motion (h, w, 2): position in the frame after minus position in this one, in pixels of this one; x right, y down.
 
     Computed from the motion of the frame after: each of its pixels says where it came from; the nearest one wins.
+    Motion that is NaN counts as none, as in every pass.
     """
-    return invert_motion(after[Role.MOTION], _depth(after), _depth(frame))
+    return invert_motion(still_where_unknown(after[Role.MOTION]), _depth(after), _depth(frame))
 
 
 def invert_motion(motion: np.ndarray, after: np.ndarray, depth: np.ndarray) -> np.ndarray:

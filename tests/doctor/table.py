@@ -1,4 +1,5 @@
-"""Writes the table and the picture of docs/howto/doctor.md: every mistake, and the finding and plane that name it.
+"""Writes the table of docs/lab/doctor.md, every mistake with the finding and plane that name it, and the picture of
+docs/howto/doctor.md.
 
 python -m tests.doctor.table
 """
@@ -11,13 +12,12 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from postfx.doctor.inspection import picture
-from postfx.doctor.motion_variants import VARIANTS
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from tests.doctor.breakages import BREAKAGES
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
-PAGE, PICTURE = REPOSITORY / "docs" / "howto" / "doctor.md", REPOSITORY / "docs" / "images" / "doctor.jpg"
+PAGE, PICTURE = REPOSITORY / "docs" / "lab" / "doctor.md", REPOSITORY / "docs" / "images" / "doctor.jpg"
 OPEN, CLOSE = "<!-- table -->", "<!-- end -->"
 SHOWN = ("albedo with noise of 0.08", "normals in camera space", "1 / depth, misses 0", "motion y up", "smoothness")
 
@@ -29,11 +29,10 @@ def main() -> None:
 
 
 def with_table(page: str) -> str:
-    """The page with the table and the count of variants as they are now."""
+    """The page with the table as it is now."""
     rows = ["| mistake | finding | plane |", "| --- | --- | --- |",
             *(f"| {breakage.name} | `{breakage.code}` | {breakage.role} |" for breakage in BREAKAGES)]
     before, rest = page.split(OPEN)
-    before = before.replace("with VARIANTS variants", f"with {len(VARIANTS)} variants")
     return "\n".join([before + OPEN, *rows, CLOSE]) + rest.split(CLOSE)[1]
 
 

@@ -1,13 +1,11 @@
 """Every integration mistake is found and named, on the sample and on a sequence of another renderer."""
 
-from pathlib import Path
-
 import pytest
 
 from postfx.doctor.motion_variants import VARIANTS
 from tests.doctor.breakages import BREAKAGES
 from tests.doctor.conftest import middle_of
-from tests.doctor.table import with_table
+from tests.doctor.table import PAGE, REPOSITORY, with_table
 
 LEAST = 30
 
@@ -47,5 +45,6 @@ def test_another_renderer_with_every_mistake(shared_frames, diagnose):
 
 
 def test_the_page_shows_every_mistake():
-    page = (Path(__file__).parent.parent.parent / "docs" / "howto" / "doctor.md").read_text(encoding="utf-8")
-    assert f" {len(VARIANTS)} variants" in page and with_table(page) == page, "run python -m tests.doctor.table"
+    page = PAGE.read_text(encoding="utf-8")
+    assert with_table(page) == page, "run python -m tests.doctor.table"
+    assert f" {len(VARIANTS)} variants" in (REPOSITORY / "docs/howto/doctor.md").read_text(encoding="utf-8")

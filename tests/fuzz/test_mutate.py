@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-COUNTS = {"exr": 150, "settings": 200, "cube": 100, "spi3d": 50, "csp": 50}
+COUNTS = {"exr": 150, "settings": 200, "cube": 100, "spi3d": 50, "csp": 50, "cryptomatte": 80, "hdr": 60, "bomb": 22}
 """Inputs of each kind; more by hand: `python -m tests.fuzz.mutate exr 10000`."""
 
 
@@ -21,4 +21,4 @@ def test_damage_is_survived(kind: str, tmp_path: Path) -> None:
                           env={**os.environ, "PYTHONPATH": path})
     assert done.returncode == 0, f"input {(tmp_path / 'at').read_text()}: {done.stderr[-2000:]}"
     outcomes = ast.literal_eval(done.stdout.splitlines()[-1])
-    assert outcomes["read"] > 5 and outcomes["refused"] > 5, outcomes
+    assert outcomes["read"] > (0 if kind == "bomb" else 4) and outcomes["refused"] > 5, outcomes

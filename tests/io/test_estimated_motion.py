@@ -115,7 +115,8 @@ def test_zero_at_rest_at_a_cut_and_without_a_frame_before() -> None:
 
 @pytest.fixture
 def walk(write_exr: Callable[..., Path]) -> str:
-    """Four frames on the disk: in.####.exr without motion, zero.####.exr with zeros."""
+    """Four frames on the disk: in.####.exr without motion, zero.####.exr with zeros, some.####.exr with no vector on
+    the left and one of (5, 5) on the right."""
     names = {Role.COLOUR: ("R", "G", "B"), Role.DIFFUSE_ALBEDO: ("albedo.R", "albedo.G", "albedo.B"),
              Role.NORMAL: ("normal.X", "normal.Y", "normal.Z"), Role.DEPTH: ("depth.Z",)}
     for number in range(1, 5):
@@ -123,6 +124,8 @@ def walk(write_exr: Callable[..., Path]) -> str:
         stored = {name: frame[role][..., k] for role, some in names.items() for k, name in enumerate(some)}
         path = write_exr(f"in.{number:04d}.exr", stored)
         write_exr(f"zero.{number:04d}.exr", stored | {name: 0 * stored["R"] for name in ("motion.X", "motion.Y")})
+        some = np.where(np.arange(WIDTH) < WIDTH // 2, 1e10, 5.0) + 0 * stored["R"]
+        write_exr(f"some.{number:04d}.exr", stored | dict.fromkeys(("motion.X", "motion.Y"), some))
     return str(path.with_name("in.####.exr"))
 
 
@@ -162,6 +165,16 @@ def test_zeros_in_files_are_replaced_where_the_planes_move(walk: str) -> None:
     expected = read_sequence(walk, motion="auto").read(3)[Role.MOTION]
     np.testing.assert_array_equal(read_sequence(zero, motion="auto").read(3)[Role.MOTION], expected)
     assert not Sequence(zero).read(3)[Role.MOTION].any()
+
+
+def test_unknown_vectors_are_estimated_and_the_others_stay(walk: str) -> None:
+    some, half = walk.replace("in.", "some."), WIDTH // 2
+    estimated = Sequence(walk, motion="auto").read(3)[Role.MOTION]
+    shot = Sequence(some, motion="auto")
+    found = shot.read(3)[Role.MOTION]
+    np.testing.assert_array_equal(found[:, :half], estimated[:, :half])
+    assert (found[:, half:] == 5).all() and "some motion is estimated" in shot.warnings[0]
+    assert np.isnan(Sequence(some).read(3)[Role.MOTION][:, :half]).all(), "of files alone it is unknown"
 
 
 def test_a_run_plans_with_estimated_motion(walk: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -165,13 +165,13 @@ def test_user_profile_declares_units_offset_and_names(write_exr, tmp_path, ramp)
     np.testing.assert_allclose(motion[2, 3], [0.25 * 8, 0.25 * 6])
 
 
-def test_albedo_above_one_and_broken_motion_are_mended(write_exr, ramp):
+def test_albedo_above_one_is_cut_and_broken_motion_is_unknown(write_exr, ramp):
     channels = ramp("albedo.R", "albedo.G", "albedo.B", "motion.X", "motion.Y")
     channels["albedo.R"][0, 0], channels["motion.X"][0, 0] = 3.0, np.nan
     with open_files(write_exr("a.exr", channels)) as files:
         frame = files.read(1)
     assert frame[Role.DIFFUSE_ALBEDO].max() == 1
-    assert frame[Role.MOTION][0, 0, 0] == 0
+    assert np.isnan(frame[Role.MOTION][0, 0]).all()
 
 
 @pytest.mark.parametrize("size", [{"height": 12}, {"height": 3}, {"width": 16}], ids=str)
@@ -239,9 +239,9 @@ def test_channel_names_are_shown_short(write_exr, ramp):
 
 
 @pytest.mark.parametrize("none", [np.nan, np.inf, 1e10, -65504.0, (np.nan, 3.0)])
-def test_vectors_that_stand_for_none_are_no_motion(write_exr, ramp, none):
+def test_vectors_that_stand_for_none_are_unknown(write_exr, ramp, none):
     channels = ramp("R", "G", "B", "motion.X", "motion.Y")
     channels["motion.X"][1, 2], channels["motion.Y"][1, 2] = none if isinstance(none, tuple) else (none, none)
     (frame,) = read_sequence(write_exr("a.exr", channels))
     motion = frame[Role.MOTION]
-    assert (motion[1, 2] == 0).all() and (motion != 0).any(axis=2).sum() == motion.shape[0] * motion.shape[1] - 1
+    assert np.isnan(motion[1, 2]).all() and np.isfinite(motion).all(axis=2).sum() == motion[..., 0].size - 1

@@ -1,9 +1,9 @@
 """`postfx` with faults, in a process of its own: see `Faulty`.
 
 A fault is a mapping: `at`, the dotted name of a function that is called by its module's name; `do`, one of
-kill (SIGKILL to this process), sleep, fail (ReadError) and full (OSError: no space left); `when`, before (default) or
-after the call; `of`, what the arguments must name; `calls`, numbers of such calls from 1 on that it happens at, or all
-of them without; `seconds` of sleep.
+kill (SIGKILL to this process), sleep, fail (ReadError), full (OSError: no space left), damage (do `how` to `file`) and
+clock (it goes back by `seconds` for good); `when`, before (default) or after the call; `of`, what the arguments must
+name; `calls`, numbers of such calls from 1 on that it happens at, or all of them without; `seconds` of sleep.
 """
 
 import errno
@@ -11,9 +11,11 @@ import importlib
 import itertools
 import multiprocessing
 import os
+import re
 import signal
 import sys
 import time
+from pathlib import Path
 
 import postfx.cli.job  # noqa: F401 - what a run would import first
 import postfx.colour.views  # noqa: F401
@@ -23,6 +25,23 @@ import postfx.passes.tonemap  # noqa: F401
 from postfx.cli.main import main
 from postfx.errors import ReadError
 
+DAMAGE = {
+    "gone": lambda path: path.unlink(missing_ok=True),
+    "emptied": lambda path: path.write_bytes(b""),
+    "cut short": lambda path: path.write_bytes(path.read_bytes()[:path.stat().st_size // 2]),
+    "no picture": lambda path: path.write_bytes(b"no picture" * 50),
+    "of one frame later": lambda path: path.write_bytes(
+        path.with_name(re.sub(r"(\d+)(?=\.\w+$)", lambda digits: f"{int(digits[1]) + 1:04d}", path.name)).read_bytes()),
+    "a folder": lambda path: (path.unlink(missing_ok=True), path.mkdir()),
+}
+"""What may happen to a file while a run is under way."""
+
+
+def turn_back(seconds):
+    """Let the clock of this process show an earlier time."""
+    now = time.time
+    time.time = lambda: now() - seconds
+
 
 def act(fault):
     if fault["do"] == "kill":
@@ -31,6 +50,10 @@ def act(fault):
         time.sleep(fault["seconds"])
     elif fault["do"] == "fail":
         raise ReadError("a read that failed for once")
+    elif fault["do"] == "damage":
+        DAMAGE[fault["how"]](Path(fault["file"]))
+    elif fault["do"] == "clock":
+        turn_back(fault["seconds"])
     elif fault["do"] == "full":
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -59,6 +82,7 @@ def install(fault):
 
 def run(faults, arguments, said):
     os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), sys.stderr.fileno())
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     for fault in faults:
         install(fault)
     sys.exit(main(arguments))

@@ -98,6 +98,18 @@ def test_frames_without_bad_pixels_are_passed_on_and_misses_do_not_count() -> No
     assert repair_nonfinite(Frame(planes), (Role.COLOUR,))[1] == {}
 
 
+def test_unknown_motion_does_not_count_and_is_none_to_passes() -> None:
+    motion = np.ones((4, 5, 2), np.float32)
+    motion[1, 2] = np.nan
+    frame = Frame({Role.MOTION: motion})
+    found, counts = repair_nonfinite(frame, (Role.MOTION,))
+    assert counts == {} and (found[Role.MOTION][1, 2] == 0).all() and found[Role.MOTION].sum() == 38
+    assert np.isnan(motion[1, 2]).all(), "the given frame stays"
+    motion[3, 3, 0] = np.inf
+    found, counts = repair_nonfinite(frame, (Role.MOTION,))
+    assert counts == {Role.MOTION: 1} and (found[Role.MOTION][3, 3] == 0).all()
+
+
 @pytest.mark.parametrize("value", BAD, ids=str)
 @on()
 def test_a_bad_pixel_stays_local(model: str, value: float, rooms: list[Frame], device: Device) -> None:
