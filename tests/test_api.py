@@ -84,7 +84,7 @@ def taken_names(path: Path) -> Iterator[tuple[str, str]]:
             yield from ((node.module, name.name) for name in node.names)
 
 
-@pytest.mark.parametrize("folder", ["training", "samples", "hosts", "web"])
+@pytest.mark.parametrize("folder", ["training", "samples", "hosts", "web", "tests"])
 def test_names_that_other_folders_import_are_there(folder):
     """Tools that few tests run lose their imports first."""
     files = sorted((REPOSITORY / folder).rglob("*.py"))

@@ -387,9 +387,10 @@ class Sequence:
         option is 'auto'."""
         may_fill = self.options.motion == AUTO_MOTION and not is_wanted
         stored = frame.planes.get(Role.MOTION) if may_fill else None
-        has_unknown = stored is not None and not is_finite(stored)
-        unknown = np.isnan(stored).any(axis=2) if has_unknown else None
-        is_short = stored is not None and (has_unknown or not stored.any())
+        unknown = None
+        if stored is not None and not is_finite(stored):
+            unknown = np.isnan(stored).any(axis=2, keepdims=True)
+        is_short = stored is not None and (unknown is not None or not stored.any())
         if not is_wanted and not (is_short and any(role in frame for role in SEEN)):
             return
         from postfx.io.estimated_motion import (
@@ -410,7 +411,7 @@ class Sequence:
             f"{some}motion is estimated from {seen}, not taken from the files (--motion file: from them alone)"
         )
         if unknown is not None:
-            motion = np.where(unknown[..., None], motion, frame.planes[Role.MOTION])
+            motion = np.where(unknown, motion, frame.planes[Role.MOTION])
         frame.planes[Role.MOTION] = motion
 
     def _picture_before(self, number: int) -> Picture | None:

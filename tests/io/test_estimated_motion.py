@@ -169,8 +169,8 @@ def test_zeros_in_files_are_replaced_where_the_planes_move(walk: str) -> None:
 
 def test_unknown_vectors_are_estimated_and_the_others_stay(walk: str) -> None:
     some, half = walk.replace("in.", "some."), WIDTH // 2
-    estimated = Sequence(walk, motion="auto").read(3)[Role.MOTION]
-    shot = Sequence(some, motion="auto")
+    estimated = read_sequence(walk, motion="auto").read(3)[Role.MOTION]
+    shot = read_sequence(some, motion="auto")
     found = shot.read(3)[Role.MOTION]
     np.testing.assert_array_equal(found[:, :half], estimated[:, :half])
     assert (found[:, half:] == 5).all() and "some motion is estimated" in shot.warnings[0]

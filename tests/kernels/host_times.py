@@ -38,7 +38,8 @@ from postfx import interpolate
 from postfx.cuts import CutDetector
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
-from postfx.io.encode import Dither, quantise, to_halves
+from postfx.io.exr.picture import to_halves
+from postfx.io.quantisation import Dither, quantise
 from postfx.kernels import library, pixel_formats
 from postfx.passes.denoise.planes import near_cells, shows_volume
 from postfx.passes.denoise.tiling import active_cells

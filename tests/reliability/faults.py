@@ -32,7 +32,7 @@ from tests.reliability.faulty import DAMAGE, Faulty
 from tests.reliability.model_files import model_of, outside
 
 ROOT = Path(__file__).resolve().parents[2]
-READ, WRITE, ENCODE = "postfx.io.sequence.Sequence.read", "postfx.cli.job.write_frame", "postfx.io.writer.encode"
+READ, WRITE, ENCODE = "postfx.io.sequence.Sequence.read", "postfx.cli.job.write_frame", "postfx.io.writer.write_exr"
 PREVIEW = "postfx.cli.job.Job.preview"
 MANIFEST, CHECKPOINT = "postfx.runs.manifest.write_atomically", "postfx.runs.folder.write_atomically"
 HANGS_S = 300
