@@ -233,7 +233,7 @@ def test_constants_of_the_headers_are_those_of_python() -> None:
     for header in sorted(build.HERE.rglob("*.h")):
         text = header.read_text("utf-8")
         beside = header.with_suffix(".py")
-        known = constants_of(beside if beside.exists() else build.HERE / "numeric.py", text)
+        known = constants_of(beside if beside.exists() else build.HERE / "image.py", text)
         for name, value in re.findall(r"^constexpr (?:float|int) ([A-Z][A-Z\d_]+) = (-?[\d.e+-]+)f?;", text, re.M):
             if name in known:
                 assert np.float32(value) == np.float32(known[name]), f"{header}: {name}"
@@ -272,11 +272,16 @@ def test_a_plug_in_brings_one_header(plug_in: Path) -> None:
     kernel = Kernel("scale", ("image", "by"), ("scaled",), Rows("scale", plug_in), ("scaled", 0),
                     {"image": ("h", "w"), "by": (1,), "scaled": ("h", "w")})
     assert kernel.home == plug_in.parent
-    device = Device("cpu", threads=2)
+    device, told = Device("cpu", threads=2), []
     image = np.random.default_rng(0).random((9, 33), np.float32)
     bound = {"image": device.wrap("image", image), "by": device.wrap("by", np.float32([3])),
              "scaled": device.heap.tensor("scaled", (9, 33))}
-    state = device.compute_state(kernel)
+    library.levels()
+    with library.CompileWatch(told.append) as watch:
+        state = device.compute_state(kernel)  # before its first frame
+        assert watch.count == 1 and told == [0] and 0 < watch.seconds == watch.seconds
+        device.compute_state(kernel)
+    assert watch.count == 1
     commands = device.command_buffer("any")
     with commands.compute_encoder("any") as encoder:
         encoder.dispatch(state, ArgumentTable(state, bound))
