@@ -389,3 +389,31 @@ def test_arrays_that_a_kernel_does_not_take_are_an_error() -> None:
         FILTER.rows(0, 1, *inputs, out)
     with pytest.raises(BindingError, match=r"exports no kernel 'nothing': write EXPORT\(nothing, rows\) there"):
         Rows("nothing")(0, 1)
+
+
+WITHOUT_OTHER_COMPILERS = """
+import sys
+sys.modules.update(numba=None, llvmlite=None)  # to import them fails
+import numpy as np
+import postfx
+from postfx.frame import Frame, Role
+from postfx.interpolate import Between
+from postfx.passes.scene import Occlusion
+random, size = np.random.default_rng(0), (48, 64)
+def frame(number):
+    planes = {Role.COLOUR: random.random((*size, 3), np.float32), Role.DEPTH: np.full((*size, 1), 4, np.float32),
+              Role.NORMAL: np.full((*size, 3), (0, 0, 1), np.float32), Role.MOTION: np.ones((*size, 2), np.float32)}
+    return Frame(planes, number=number)
+first, second = frame(1), frame(2)
+pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap(look="aces2")])
+shown = [pipeline(one)[Role.COLOUR] for one in (first, second)][-1]
+between = Between(first, second).frame(0.5)[Role.COLOUR]
+open_to_light = postfx.Pipeline([Occlusion(radius=1.0)], exposure=1.0)(first)[Role.COLOUR]
+for made in (shown, between, open_to_light):
+    assert made.shape == (*size, 3) and np.isfinite(made).all() and made.std() > 0
+"""
+
+
+def test_a_frame_needs_no_compiler_of_python() -> None:
+    """Denoised, tone-mapped, between two others, and its occlusion."""
+    subprocess.run([sys.executable, "-c", WITHOUT_OTHER_COMPILERS], cwd=REPOSITORY, check=True, timeout=300)
