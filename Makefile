@@ -58,11 +58,9 @@ windows: $(VENV)/installed-dev
 # Wheels and sdist in dist/, conda-forge's recipe in build/recipe.yaml; needs no PyTorch. This machine's wheel and the
 # sdist are installed and run in a fresh environment of every Python in PYTHONS. The kernels of all targets are compiled here; the first time, Windows takes some minutes.
 release: $(VENV)/installed-release
-	rm -rf dist postfx/_kernels
+	rm -rf dist
 	for target in $(TARGETS); do POSTFX_TARGET=$$target $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; done
-	$(BIN)/python build_kernels.py
-	$(BIN)/python -m hatchling build -d dist
-	rm -rf postfx/_kernels
+	$(BIN)/python -m hatchling build -t sdist -d dist
 	$(BIN)/python packaging/conda_recipe.py dist/postfx_render-*.tar.gz build/recipe.yaml
 	for python in $(PYTHONS); do .ci/check_release $$python || exit 1; done
 

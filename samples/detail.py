@@ -15,13 +15,11 @@ Prints a table of the second half of the frames: PSNR as seen, and of luminance 
 frequency `share`, the part of the reference's amplitude that is there, and `coherence`, the correlation with it.
 """
 import argparse
-import math
 from collections.abc import Callable
 from importlib.util import find_spec
 from itertools import pairwise
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 import postfx
@@ -39,32 +37,29 @@ DIGITS = (0x7B6F, 0x2C97, 0x73E7, 0x73CF, 0x5BC9, 0x79CF, 0x79EF, 0x7292, 0x7BEF
 TILE, EDGE = 64, 16
 
 
-@numba.vectorize(["float64(float64, float64)"])
-def pattern(x: float, y: float) -> float:
-    """0..1 at a point, in render pixels: patches with a star, a zone plate, slanted bars and digits.
+def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """0..1 at points, in render pixels: patches with a star, a zone plate, slanted bars and digits.
 
     Too fine for the render size are the star's centre, the zone plate's rim, all bars (BARS cycles a pixel) and the
     digits, whose strokes are STROKE pixels wide.
     """
-    column, row = math.floor(x / PATCH), math.floor(y / PATCH)
-    u, v = x - (column + 0.5) * PATCH, y - (row + 0.5) * PATCH
-    kind, radius = int(column) % 2 + 2 * (int(row) % 2), math.sqrt(u * u + v * v)
-    if kind == 0:
-        return 0.5 if radius < 6 or radius > 31 else 1.0 * (math.cos(72 * math.atan2(v, u)) > 0)
-    if kind == 1:
-        return 0.5 + 0.5 * math.cos(math.pi * 0.9 / 32 * radius * radius) if radius < 31 else 0.5
-    u, v = u + PATCH / 2, v + PATCH / 2
-    if kind == 2:
-        line = int(v / (PATCH / 4))
-        angle = 0.2 + 0.5 * math.pi * (line % 2)
-        return 1.0 * (math.cos(2 * math.pi * BARS[line] * ((u - PATCH / 2) * math.cos(angle)
-                                                        + (v - PATCH / 2) * math.sin(angle))) > 0)
-    across, down = int(math.floor(u / STROKE)), int(math.floor(v / STROKE))
-    cell = (across // 4) * 7 + (down // 6) * 5 + (across // 4) * (down // 6) % 3
-    across, down = across % 4, down % 6
-    if across > 2 or down > 4:
-        return 1.0
-    return 1.0 - ((DIGITS[cell % 10] >> (14 - 3 * down - across)) & 1)
+    column, row = np.floor(x / PATCH).astype(int), np.floor(y / PATCH).astype(int)
+    from_left, from_top = x - column * PATCH, y - row * PATCH
+    u, v = from_left - PATCH / 2, from_top - PATCH / 2
+    radius = np.hypot(u, v)
+    star = np.where((radius < 6) | (radius > 31), 0.5, np.cos(72 * np.arctan2(v, u)) > 0)
+    plate = np.where(radius < 31, 0.5 + 0.5 * np.cos(np.pi * 0.9 / 32 * radius * radius), 0.5)
+    line = (from_top / (PATCH / 4)).astype(int)
+    angle = 0.2 + 0.5 * np.pi * (line % 2)
+    along = u * np.cos(angle) + v * np.sin(angle)
+    bars = np.cos(2 * np.pi * np.array(BARS)[line] * along) > 0
+    stroke, step = (from_left / STROKE).astype(int), (from_top / STROKE).astype(int)
+    across, down = stroke // 4, step // 6
+    cell = across * 7 + down * 5 + across * down % 3
+    place = 14 - 3 * (step % 6) - stroke % 4
+    shown = np.array(DIGITS)[cell % 10] >> np.maximum(place, 0) & 1
+    digits = np.where((stroke % 4 > 2) | (step % 6 > 4), 1, 1 - shown)
+    return np.choose(column % 2 + 2 * (row % 2), (star, plate, bars, digits)).astype(float)
 
 
 class View(NamedTuple):

@@ -20,80 +20,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from postfx import Device, Library
-from postfx.kernels.numeric import kernel_jit
+from postfx.kernels.library import Rows
 from postfx.kernels.occlusion import FAR, HORIZONS, LOOK, LOOKS, SMOOTH, SURFACE
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable, Tensor
 from postfx.system import models_dir
 
 RADII, SETTINGS = (0.06, 0.125, 0.25), (0.9, 0.0)
-LATTICE = 0.7548776662466927, 0.5698402909980532
-
-
-@kernel_jit()
-def nearest(shapes, origin, way, normal):
-    """Distance to the first of the shapes (n, 9): centre, half sizes (a ball if the last is 0), turn about y (cosine,
-    sine) and unused; the normal there."""
-    found = np.inf
-    for k in range(shapes.shape[0]):
-        s = shapes[k]
-        x, y, z = origin[0] - s[0], origin[1] - s[1], origin[2] - s[2]
-        if s[5] == 0:
-            b, c = x * way[0] + y * way[1] + z * way[2], x * x + y * y + z * z - s[3] * s[3]
-            inside = b * b - c
-            t = -b - np.sqrt(inside) if inside > 0 else -1.0
-            if 1e-6 < t < found:
-                found = t
-                normal[0], normal[1], normal[2] = ((x + t * way[0]) / s[3], (y + t * way[1]) / s[3],
-                                                   (z + t * way[2]) / s[3])
-            continue
-        p, d = (s[6] * x - s[7] * z, y, s[7] * x + s[6] * z), (
-            s[6] * way[0] - s[7] * way[2], way[1], s[7] * way[0] + s[6] * way[2])
-        enter, leave, axis, side = -np.inf, np.inf, 0, 1.0
-        for a in range(3):
-            slope = 1 / d[a] if abs(d[a]) > 1e-12 else 1e12
-            near, far = (-s[3 + a] - p[a]) * slope, (s[3 + a] - p[a]) * slope
-            if min(near, far) > enter:
-                enter, axis, side = min(near, far), a, -np.sign(d[a])
-            leave = min(leave, max(near, far))
-        if 1e-6 < enter < min(found, leave):
-            found = enter
-            u, v = (side, 0.0) if axis == 0 else (0.0, side)
-            normal[0], normal[1], normal[2] = (0.0, side, 0.0) if axis == 1 else (s[6] * u + s[7] * v, 0.0,
-                                                                                  s[6] * v - s[7] * u)
-    return found
-
-
-@kernel_jit()
-def first_hits(shapes, eye, ways, depth, normals):
-    """Distance along each way, and normals; ways (h, w, 3) are 1 long along the camera's axis."""
-    for y in range(ways.shape[0]):
-        for x in range(ways.shape[1]):
-            depth[y, x] = nearest(shapes, eye, ways[y, x], normals[y, x])
-
-
-@kernel_jit()
-def visibility(shapes, eye, ways, depth, normals, radii, turns, rays, visible):
-    """Shares of cosine-weighted rays that are longer than each radius."""
-    spare, way = np.empty(3), np.empty(3)
-    for y in range(ways.shape[0]):
-        for x in range(ways.shape[1]):
-            n = normals[y, x]
-            origin = eye + depth[y, x] * ways[y, x] + 1e-4 * n
-            sign = 1.0 if n[2] >= 0 else -1.0  # a frame around the normal: Duff 2017
-            a = -1 / (sign + n[2])
-            b = n[0] * n[1] * a
-            visible[:, y, x] = 0
-            for k in range(rays):
-                u, v = turns[y, x, 0] + k * LATTICE[0], turns[y, x, 1] + k * LATTICE[1]
-                radius, angle = np.sqrt(u - np.floor(u)), 2 * np.pi * v
-                i, j, up = radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - (u - np.floor(u)))
-                way[0] = i * (1 + sign * n[0] * n[0] * a) + j * b + up * n[0]
-                way[1] = i * sign * b + j * (sign + n[1] * n[1] * a) + up * n[1]
-                way[2] = -i * sign * n[0] - j * n[1] + up * n[2]
-                distance = nearest(shapes, origin, way, spare)
-                for r in range(radii.size):
-                    visible[r, y, x] += (distance > radii[r]) / rays
+HEADER = Path(__file__).with_suffix(".h")
+FIRST_HITS, VISIBILITY = Rows("first_hits", HEADER), Rows("visibility", HEADER)
 
 
 def blocks(seed: int, size: tuple[int, int], rays: int = 128) -> dict[str, np.ndarray]:
@@ -116,10 +51,11 @@ def blocks(seed: int, size: tuple[int, int], rays: int = 128) -> dict[str, np.nd
     ways = np.stack([x * tangent, y * tangent * height / width, -np.ones_like(x)], -1) @ axes
     depth, normals, known = np.empty(x.shape), np.zeros(ways.shape), np.asarray(shapes, float)
     lengths = np.linalg.norm(ways, axis=-1, keepdims=True)
-    first_hits(known, eye, ways / lengths, depth, normals)
+    FIRST_HITS(0, size[1], known, eye, ways / lengths, depth, normals)
     depth /= lengths[..., 0]
     radii, visible = np.asarray(RADII) * np.median(depth), np.empty((len(RADII), *x.shape))
-    visibility(known, eye, ways, depth, normals, radii, random.random((*x.shape, 2)), rays, visible)
+    VISIBILITY(0, size[1], known, eye, ways, depth, normals, radii, random.random((*x.shape, 2)),
+               np.array([rays], float), visible)
     return {"normal": normals @ axes.T, "depth": depth, "visible": visible, "radii": radii, "tangent": tangent}
 
 

@@ -3,10 +3,12 @@
 The sky is the analytic one of Preetham, Shirley and Smits (1999), without the sun's disc, in Rec.709; below the horizon
 it is mirrored and darker. Directions are unit vectors (x, y, z) with y up.
 """
+from pathlib import Path
+
 import numpy as np
 
 from postfx.kernels import Kernel
-from postfx.kernels.numeric import exp, kernel_jit
+from postfx.kernels.library import Rows
 
 _PEREZ = np.array([  # slope and offset by turbidity of A to E, for Y, x and y
     [[0.1787, -1.4630], [-0.3554, 0.4275], [-0.0227, 5.3251], [0.1206, -2.5771], [-0.0670, 0.3703]],
@@ -15,7 +17,8 @@ _PEREZ = np.array([  # slope and offset by turbidity of A to E, for Y, x and y
 _ZENITH = np.array([
     [[0.00166, -0.00375, 0.00209, 0], [-0.02903, 0.06377, -0.03202, 0.00394], [0.11693, -0.21196, 0.06052, 0.25886]],
     [[0.00275, -0.00610, 0.00317, 0], [-0.04214, 0.08970, -0.04153, 0.00516], [0.15346, -0.26756, 0.06670, 0.26688]]])
-TURBIDITY, SCALE, GROUND = 3.0, 0.1, 0.3
+TURBIDITY = 3.0
+HEADER = Path(__file__).with_suffix(".h")
 
 
 def sun_at(elevation: float, azimuth: float) -> np.ndarray:
@@ -36,80 +39,13 @@ def sky_of(sun: np.ndarray) -> np.ndarray:
     return np.concatenate([np.column_stack([perez, zenith / at_zenith]).ravel(), sun]).astype(np.float32)
 
 
-@kernel_jit()
-def perez(sky, at, up, angle, cosine):
-    """Y, x or y of the sky."""
-    one = np.float32(1)
-    return sky[at + 5] * (one + sky[at] * exp(sky[at + 1] / up)) * (
-        one + sky[at + 2] * exp(sky[at + 3] * angle) + sky[at + 4] * cosine * cosine)
-
-
-@kernel_jit()
-def radiance(sky, x, y, z):
-    """Colour of the sky in a direction, in tenths of kcd/m2."""
-    up = max(abs(y), np.float32(0.02))
-    cosine = min(max(x * sky[18] + y * sky[19] + z * sky[20], np.float32(-1)), np.float32(1))
-    angle = np.arccos(cosine)
-    bright, cx, cy = (perez(sky, 0, up, angle, cosine), perez(sky, 6, up, angle, cosine),
-                      perez(sky, 12, up, angle, cosine))
-    share = min(max((y + np.float32(0.1)) * np.float32(5), np.float32(0)), np.float32(1))
-    luminance = bright * SCALE * (GROUND + (1 - GROUND) * share * share * (3 - 2 * share))
-    wide, deep = luminance * cx / cy, luminance * (1 - cx - cy) / cy
-    return (max(3.2406 * wide - 1.5372 * luminance - 0.4986 * deep, 0.0),
-            max(-0.9689 * wide + 1.8758 * luminance + 0.0415 * deep, 0.0),
-            max(0.0557 * wide - 0.2040 * luminance + 1.0570 * deep, 0.0))
-
-
-@kernel_jit()
-def sky_rows(y0, y1, sky, directions, logs):
-    """log(1 + colour) of the sky."""
-    for p in range(y0, y1):
-        red, green, blue = radiance(sky, directions[p, 0], directions[p, 1], directions[p, 2])
-        logs[p, 0], logs[p, 1], logs[p, 2] = np.log1p(red), np.log1p(green), np.log1p(blue)
-
-
-@kernel_jit()
-def hash_of(number):
-    """PCG (Jarzynski and Olano 2020)."""
-    state = np.uint32(number) * np.uint32(747796405) + np.uint32(2891336453)
-    word = np.uint32(((state >> ((state >> np.uint32(28)) + np.uint32(4))) ^ state) * np.uint32(277803737))
-    return np.uint32((word >> np.uint32(22)) ^ word)
-
-
-@kernel_jit()
-def irradiance_rows(y0, y1, sky, normals, params, logs):
-    """log(irradiance) by cosine-weighted samples, `params` = (samples, seed); a normal of length 0 is empty: NaN."""
-    samples = int(params[0])
-    for p in range(y0, y1):
-        n = normals[p]
-        if n[0] == 0 and n[1] == 0 and n[2] == 0:
-            logs[p, :] = np.nan
-            continue
-        sign = 1.0 if n[2] >= 0 else -1.0  # a frame around the normal: Duff 2017
-        a = -1 / (sign + n[2])
-        b = n[0] * n[1] * a
-        state = hash_of(np.uint32(p) + hash_of(np.uint32(params[1])))
-        turn, shift = hash_of(state) / 4294967296.0, hash_of(state + np.uint32(1)) / 4294967296.0
-        red, green, blue = 0.0, 0.0, 0.0
-        for s in range(samples):  # a lattice (R2, Roberts 2018), shifted from pixel to pixel
-            u, v = turn + s * 0.7548776662466927, shift + s * 0.5698402909980532
-            u, v = u - np.floor(u), v - np.floor(v)
-            radius, angle, height = np.sqrt(u), 2 * np.pi * v, np.sqrt(max(1 - u, 0.0))
-            i, j = radius * np.cos(angle), radius * np.sin(angle)
-            x = i * (1 + sign * n[0] * n[0] * a) + j * b + height * n[0]
-            y = i * sign * b + j * (sign + n[1] * n[1] * a) + height * n[1]
-            z = -i * sign * n[0] - j * n[1] + height * n[2]
-            colour = radiance(sky, np.float32(x), np.float32(y), np.float32(z))
-            red, green, blue = red + colour[0], green + colour[1], blue + colour[2]
-        share = np.pi / samples
-        logs[p, 0], logs[p, 1], logs[p, 2] = np.log(share * red), np.log(share * green), np.log(share * blue)
-
-
-SKY = Kernel("sample_sky", ("sky", "directions"), ("logs",), sky_rows, ("logs", 0),
+SKY = Kernel("sample_sky", ("sky", "directions"), ("logs",), Rows("sample_sky", HEADER), ("logs", 0),
              {"sky": (21,), "directions": ("points", 3), "logs": ("points", 3)})
-IRRADIANCE = Kernel("sample_irradiance", ("sky", "normals", "params"), ("logs",), irradiance_rows,
-                    ("logs", 0),
+"""log(1 + colour) of the sky in directions."""
+IRRADIANCE = Kernel("sample_irradiance", ("sky", "normals", "params"), ("logs",),
+                    Rows("sample_irradiance", HEADER), ("logs", 0),
                     {"sky": (21,), "normals": ("points", 3), "params": (2,), "logs": ("points", 3)})
+"""log(irradiance) by cosine-weighted samples, `params` = (samples, seed); a normal of length 0 is empty: NaN."""
 
 
 def sphere_directions(count: int) -> np.ndarray:

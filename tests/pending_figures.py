@@ -151,8 +151,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     ),
     "docs/lab/install.md": (
         "Kernels in C++",
-        "Installation",
-        "Why Numba stays",
         "Optional parts",
     ),
     "docs/measured/speed.md": (

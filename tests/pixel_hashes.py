@@ -35,7 +35,7 @@ import OpenImageIO as oiio
 REPOSITORY = Path(__file__).resolve().parent.parent
 ROOM = REPOSITORY / "samples" / "room"
 SHARED = Path(os.environ.get("POSTFX_SHARED", REPOSITORY.parent / "shared"))
-LIBRARIES = ("numpy", "numba", "onnxruntime", "OpenImageIO")
+LIBRARIES = ("numpy", "onnxruntime", "OpenImageIO")
 IGNORED = {"DateTime", "Software", "postfx:version", "oiio:SourcePath", "oiio:SourceFileFormat"}
 TWO_CORES = ("--device", "cpu", "--threads", "2", "--run-up", "0")
 

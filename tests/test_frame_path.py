@@ -1,8 +1,8 @@
 """How many of postfx's files a frame passes on its way through `postfx run`, once all is prepared.
 
-`python -m tests.test_frame_path` lists them, with the functions in each and the calls. Numba reports compiled kernels
-to a profiler too; they are listed but do not count, for nobody steps through them. Neither do the manifest and
-checkpoints, which are written every few seconds and not for every frame.
+`python -m tests.test_frame_path` lists them, with the functions in each and the calls. Those that call compiled kernels
+are listed but do not count. Neither do the manifest and checkpoints, which are written every few seconds and not for
+every frame.
 """
 
 from __future__ import annotations

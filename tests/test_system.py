@@ -63,3 +63,36 @@ def test_files_are_read_and_written_by_as_many_threads(tmp_path: Path) -> None:
     wanted = "run", "samples/room/noisy.0001.exr", "-o", str(tmp_path / "a.exr"), "--no-denoise", "--threads"
     assert main([*wanted, "3"]) == 0 and oiio.get_int_attribute("threads") == 3
     assert main(["models"]) == 0 and oiio.get_int_attribute("threads") == system.usable_cores()
+
+
+@pytest.fixture
+def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a home and one for temporary files."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(system.tempfile, "gettempdir", lambda: str(tmp_path / "tmp"))
+    return tmp_path
+
+
+def test_a_folder_of_our_own(base: Path) -> None:
+    found = system.private_folder("native")
+    assert found == base / "cache/postfx/native" and found.stat().st_mode & 0o077 == 0
+    assert system.private_folder("native") == found
+
+
+def test_a_folder_that_everyone_may_write_to_is_not_used(base: Path) -> None:
+    system.private_folder("native").chmod(0o777)
+    temporary = base / f"tmp/postfx-{os.getuid()}"
+    assert system.private_folder("native") == temporary / "native"
+    temporary.chmod(0o777)
+    assert system.private_folder("native") is None
+
+
+def test_a_folder_of_someone_else_is_not_used(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    system.private_folder("native")
+    monkeypatch.setattr(system.os, "getuid", lambda: 54321)
+    assert system.private_folder("native") is None
+
+
+def test_without_a_home_it_lies_with_the_temporary_files(base: Path) -> None:
+    (base / "cache").write_text("a file where the folder should be")
+    assert system.private_folder("native").parent == base / f"tmp/postfx-{os.getuid()}"

@@ -238,7 +238,7 @@ print(ort.__version__)
 
 def test_nothing_of_others_is_stored_in_the_home(tmp_path):
     """ONNX Runtime keeps a device id there, and looks for its maker's host, unless it is told not to."""
-    environment = {**with_sources(), "HOME": str(tmp_path), "XDG_CACHE_HOME": "", "NUMBA_CACHE_DIR": ""}
+    environment = {**with_sources(), "HOME": str(tmp_path), "XDG_CACHE_HOME": ""}
     environment.pop("ORT_DISABLE_TELEMETRY", None)
     subprocess.run([sys.executable, "-c", SILENT], env=environment, check=True, timeout=300)
     found = [path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()]

@@ -25,7 +25,7 @@ from postfx.errors import BenchError, MissingFrameError, PostfxError
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import write_frame
-from postfx.kernels.compile_cache import SUFFIX, cache_folder
+from postfx.kernels.library import CompileWatch
 from postfx.runtime import Device
 
 LEAST, MOST = 1.0, 3.0
@@ -264,14 +264,14 @@ def measure(task: Task) -> dict[str, Any] | None:
     """Milliseconds (wall, device) and CPU seconds of every frame of every run, and the peak of memory in MB.
 
     A frame before the runs, `first_ms`, prepares everything. Reading and writing files is not timed. None if kernels
-    had to be compiled, which happens once per machine: measure again, because the compiler's memory would count.
+    had to be compiled, which happens once per machine: measure again, because the first frame waits for them.
     """
-    kept = _compiled_kernels()
-    device = Device(task.device, task.threads)
-    sequence = read_sequence(task.noisy, task.frames, task.profile, guides=task.guides).first_view()
-    method = make(task.method, device, task.scale, task.size, sequence)
-    first = _time(method, next(iter(sequence)))
-    if _compiled_kernels() != kept:
+    with CompileWatch() as compiling:
+        device = Device(task.device, task.threads)
+        sequence = read_sequence(task.noisy, task.frames, task.profile, guides=task.guides).first_view()
+        method = make(task.method, device, task.scale, task.size, sequence)
+        first = _time(method, next(iter(sequence)))
+    if compiling.count:
         return None
     runs = []
     for index in range(task.runs):
@@ -302,12 +302,6 @@ def peak_memory() -> float:
 
     factor = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * factor / 1e6
-
-
-def _compiled_kernels() -> set[str]:
-    """Files of compiled kernels; empty where none can be kept."""
-    folder = cache_folder()
-    return {path.name for path in folder.glob(f"*{SUFFIX}")} if folder else set()
 
 
 def _frame(task: Task, method: Network | Chain, frame: Frame, write: bool) -> dict[str, Any]:

@@ -50,7 +50,7 @@ from postfx.io.parts import group_parts
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
-from postfx.kernels.native import CompileWatch
+from postfx.kernels.library import CompileWatch
 from postfx.passes import Pass
 from postfx.passes.denoise.options import output_size
 from postfx.passes.display import is_shown, make_display_passes

@@ -154,11 +154,11 @@ class FrameProgress:
         self._console.print(make_printable(text), highlight=False, soft_wrap=True)
 
     def note_compilation(self, count: int) -> None:
-        """Say that kernels are compiled, and how many so far."""
+        """Say that kernels are compiled, and how many files of them were begun before."""
         text, now = "compiling kernels for this processor, on the first run only", time.perf_counter()
-        self._bar.update(self._task, description=f"compiling kernels, {count} done")
+        self._bar.update(self._task, description=f"compiling kernels, file {count + 1}")
         if self._told is None or (now - self._told > LOG_SECONDS and not self._console.is_terminal):
-            self.note(f"{text}: {count} done" if count else text)
+            self.note(f"{text}: file {count + 1}" if count else text)
             self._told = now
 
     def start(self, done: int) -> float:
@@ -236,8 +236,8 @@ def _stops(multipliers: Mapping[int, float]) -> str:
 
 @dataclass(frozen=True)
 class Preparation:
-    """Time before the first frame: all seconds, those in which kernels were compiled, and how many kernels, because no
-    earlier run had kept them."""
+    """Time before the first frame: all seconds, those in which kernels were compiled, and how many files of them,
+    because no earlier run had kept them."""
 
     seconds: float = 0.0
     compile_seconds: float = 0.0
@@ -377,8 +377,8 @@ class Report:
         """The report in a few lines."""
         lines = [f"{self.frames} of {self.total} frames in {self.seconds:.1f} s{self._speed()}"]
         if kernels := self.preparation.kernels:
-            lines.append(f"compiled {kernels} kernels in {self.preparation.compile_seconds:.1f} s, which is not in "
-                         "these times; they are kept for the next run")
+            lines.append(f"compiled {kernels} files of kernels in {self.preparation.compile_seconds:.1f} s, "
+                         "which is not in these times; they are kept for the next run")
         lines += [f"ran      {name}: {median(times):.1f} ms a frame" for name, times in self.pass_ms.items()]
         if self.ahead_ms:
             lines.append(f"ran      {_frames(len(self.ahead_ms))} first, in reverse order, for the first frames' "

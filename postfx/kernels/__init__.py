@@ -20,6 +20,9 @@ from postfx.system import models_dir
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
+BRIGHTEST = np.float32(1e10)
+"""Light beyond counts as this much where colours are looked up, so that infinity times zero is no NaN."""
+
 
 @dataclass(frozen=True)
 class Blocks:
@@ -66,8 +69,8 @@ class Kernel:
         writes: names of the arguments that are written, in argument order. One that is also read is changed in place:
             it is one argument, among those that are read, and one output '<name>_out' of the portable definition.
         rows: `rows(y0, y1, *reads, *writes)` computes rows y0 to y1 - 1 of every written argument and nothing else.
-            Compile it with `kernel_jit` of `postfx.kernels.numeric`; `fastmath` only where parity with the portable
-            definition holds; no `parallel=True`: the device owns the threads.
+            `postfx.kernels.library.Rows` names one in C++. Any function of these arguments will do, which the
+            device's threads call for bands of rows at once.
         row_axis: the written binding and its axis that count the rows, for example ('output', 0).
         shapes: binding name -> dimensions, each a number or a symbol such as 'height'; a symbol has one value
             within one dispatch, and 'k*symbol' with a whole number k is allowed ('2*height'). Compiled rows do not
@@ -117,7 +120,8 @@ class Kernel:
             return self.folder
         if isinstance(self.rows, Rows):
             return self.rows.header and self.rows.header.resolve().parent
-        code = getattr(getattr(self.rows, "py_func", self.rows), "__code__", None)  # of Numba's dispatchers, too
+        # a compiler of Python keeps the function's source in `py_func`
+        code = getattr(getattr(self.rows, "py_func", self.rows), "__code__", None)
         folder = Path(code.co_filename).resolve().parent if code else Path(os.devnull)
         return None if folder.is_relative_to(_PACKAGE) else folder
 
@@ -172,11 +176,11 @@ def convolution_source(warpgroups: bool) -> str:
 
 def constants_of(family: Path, source: str) -> dict[str, Any]:
     """Numbers of Python that a source of ours names, by name: those of the module beside its file, those that the
-    upscaler's kernels share, and those of `postfx.kernels.numeric`. A pair NAME of a low and a high number is NAME_LOW
-    and NAME_HIGH."""
+    upscaler's kernels share, and those of this module. A pair NAME of a low and a high number is NAME_LOW and
+    NAME_HIGH."""
     own = ".".join(("postfx", *family.relative_to(SOURCES).with_suffix("").parts))
     known: dict[str, Any] = {}
-    for module in ("postfx.kernels.numeric", "postfx.kernels.denoise", own):
+    for module in (__name__, "postfx.kernels.denoise", own):
         known |= vars(import_module(module))
     pairs = {f"{name}_{end}": value[at] for name, value in known.items() if isinstance(value, tuple) and len(value) == 2
              for at, end in enumerate(("LOW", "HIGH"))}

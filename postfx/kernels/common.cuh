@@ -1,5 +1,5 @@
-// What the CUDA kernels of postfx share beside view.cuh: positions and the small functions of
-// postfx/kernels/numeric.py. Constants such as MAX_COLOUR come before: postfx/runtime/cuda.py prints them.
+// What the CUDA kernels of postfx share beside view.cuh: positions and small functions. Constants
+// such as MAX_COLOUR come before: postfx/runtime/cuda.py prints them.
 
 [[maybe_unused]] const float LARGEST_FLOAT = 3.402823466e38f;
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache, cached_property
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -87,6 +89,67 @@ class Function:
         return found
 
 
+class CompileWatch:
+    """Counts the libraries that are compiled, and how long that takes. Use as a context manager.
+
+    Args:
+        tell: called before each library with the count of earlier ones, perhaps by another thread.
+
+    Attributes:
+        count: libraries whose compiling has begun: one kernel, or those of a file.
+    """
+
+    def __init__(self, tell: Callable[[int], None] = lambda _: None) -> None:
+        self.count = 0
+        self._tell, self._depth, self._begin, self._past = tell, 0, 0.0, 0.0
+        self._lock = Lock()
+
+    @property
+    def seconds(self) -> float:
+        """By the clock, in which anything was compiled."""
+        with self._lock:
+            return self._past + (time.perf_counter() - self._begin if self._depth else 0.0)
+
+    def start(self) -> None:
+        """Start timing a library, possibly beside others."""
+        with self._lock:
+            earlier, self.count = self.count, self.count + 1
+            if self._depth == 0:
+                self._begin = time.perf_counter()
+            self._depth += 1
+        self._tell(earlier)
+
+    def end(self) -> None:
+        """Stop timing it."""
+        with self._lock:
+            self._depth -= 1
+            if self._depth == 0:
+                self._past += time.perf_counter() - self._begin
+
+    def __enter__(self) -> CompileWatch:
+        _watches.append(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        _watches.remove(self)
+
+
+_watches: list[CompileWatch] = []
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Those that watch are told of what is compiled meanwhile."""
+    told = tuple(_watches)
+    for watch in told:
+        watch.start()
+    try:
+        yield
+    finally:
+        for watch in told:
+            watch.end()
+
+
 @cache
 def _form(name: str, header: Path | None, level: str | None, kinds: Kinds) -> Form:
     library = open_library(name, header, level)
@@ -101,7 +164,7 @@ def _form(name: str, header: Path | None, level: str | None, kinds: Kinds) -> Fo
     if not fits:
         raise BindingError(f"kernel '{name}' takes arrays {' '.join(wanted)} (type:axes, r if it only reads them), "
                            f"not {' '.join(given)}")
-    return Form(name, getattr(library, name), ("q", "q", *kinds), "")
+    return Form(name, getattr(library, name), kinds)
 
 
 def _split(text: str) -> Iterable[str]:
@@ -197,7 +260,8 @@ def _find_or_build(units: list[Path], level: str, own: bool, flags: Sequence[str
         writable = [folder for folder in folders if _can_write(folder)]
         if not writable:
             raise build.CannotBuild("compiled kernels can be kept nowhere: set XDG_CACHE_HOME to a folder of your own")
-        return build.build(units, target, writable[0], [level], flags)[level]
+        with _told():
+            return build.build(units, target, writable[0], [level], flags)[level]
     except (build.CannotBuild, OSError) as error:
         raise DeviceError(str(error)) from None
 

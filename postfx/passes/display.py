@@ -13,8 +13,8 @@ from postfx.colour.displays import parse_display
 from postfx.colour.views import SCALE, TOE, VIEWS, bake, find_view, is_view
 from postfx.errors import ColourError, PassOptionError, suggest
 from postfx.frame import LINEAR, FrameSpec, Role
+from postfx.kernels import BRIGHTEST
 from postfx.kernels.colour import ENCODE_DISPLAY, ROOT, STEPS, form_of
-from postfx.kernels.numeric import BRIGHTEST
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.registry import create
 from postfx.plan import Skip

@@ -143,7 +143,7 @@ def _hashes_of(option: Any) -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """Versions of postfx and of the libraries that affect its pixels."""
-    installed = {name: _find_version(name) for name in ("numba", "onnxruntime", "onnxruntime-gpu")}
+    installed = {name: _find_version(name) for name in ("onnxruntime", "onnxruntime-gpu")}
     return {"postfx": __version__, "python": platform.python_version(), "numpy": numpy.__version__,
             "OpenImageIO": OpenImageIO.VERSION_STRING,
             **{name: version for name, version in installed.items() if version}}

@@ -279,7 +279,6 @@ class Ranges:
 
 
 # Arrays of other libraries, by DLPack (https://dmlc.github.io/dlpack) and by `__cuda_array_interface__`, version 3
-# (https://numba.readthedocs.io/en/stable/cuda/cuda_array_interface.html)
 
 
 class _Managed(ctypes.Structure):

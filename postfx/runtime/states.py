@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from postfx.errors import BindingError, ModelError
-from postfx.kernels.native import bind_rows, compile_rows
+from postfx.kernels.library import Rows
+from postfx.kernels.native import bind_rows
 from postfx.runtime.convolutions import HALF, Convolutions, Gpu, Head, Layer, give_heads
 from postfx.runtime.model_file import Product
 from postfx.runtime.session import FirstRun, Session, TableSession
@@ -202,7 +203,7 @@ class CompiledComputeState(ComputeState):
     def __init__(self, device: StateDevice, kernel: Kernel) -> None:
         super().__init__(device, kernel)
         self._rows = kernel.rows
-        _compile_rows(kernel, self.bindings)
+        _prepare_rows(kernel, self.bindings)
 
     def prepare(self, tensors: Sequence[Tensor]) -> Callable[[], None]:
         """A function that runs the rows on bound tensors."""
@@ -284,12 +285,12 @@ def kernel_bindings(kernel: Kernel) -> tuple[Binding, ...]:
     return tuple(Binding(name, access, shapes.get(name), kernel.types.get(name, "float32")) for name, access in named)
 
 
-def _compile_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
-    """Compile before the first frame when the ranks are known and `rows` is a kernel's function."""
+def _prepare_rows(kernel: Kernel, bindings: tuple[Binding, ...]) -> None:
+    """Have rows in C++ ready before the first frame where the ranks are known."""
     shapes = [binding.shape for binding in bindings if binding.shape is not None]
-    if len(shapes) == len(bindings):
-        compile_rows(kernel.rows, [f"{np.dtype(binding.dtype).str}:{len(shape)}"
-                                   for binding, shape in zip(bindings, shapes, strict=True)])
+    if isinstance(kernel.rows, Rows) and len(shapes) == len(bindings):
+        kernel.rows.prepare(tuple(f"{np.dtype(binding.dtype).str}:{len(shape)}"
+                                  for binding, shape in zip(bindings, shapes, strict=True)))
 
 
 def _session_bindings(

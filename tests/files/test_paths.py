@@ -185,7 +185,7 @@ def visible() -> Iterator[Path]:
 
 
 def as_nobody(*commands: str) -> list[str]:
-    """Lines that Python expressions print, run by a user without rights: to read Numba's modules, too."""
+    """Lines that Python expressions print, run by a user without rights."""
     drop = "import os; os.setgroups([]) if os.getuid() == 0 else 0; os.setegid(65534) if os.getuid() == 0 else 0; " \
            "os.seteuid(65534) if os.getuid() == 0 else 0\n"
     imports = "import sys; sys.path.insert(0, sys.argv[1])\nfrom postfx.io.sequence import *\n" \

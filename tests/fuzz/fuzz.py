@@ -20,8 +20,6 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 WATCHED = ["postfx.io", "postfx.masks", "postfx.cli.run_options", "postfx.system", "postfx.files", "postfx.runs",
            "postfx.passes.tonemap", "postfx.runtime.models",
            "postfx.runtime.model_file"]
-COMPILED = [f"postfx.kernels.{source.stem}" for source in (CHECKOUT / "postfx/kernels").glob("*.py")]
-"""Numba knows no marks of coverage."""
 SECONDS, MOST_MB, LONGEST_INPUT = 5, 2048, 1 << 16
 LONGEST_S = 10
 """Of computing, for one input: by the clock a busy machine takes as long as it likes."""
@@ -71,8 +69,8 @@ def make_home() -> Path:
     for folder in ("work", "corpus", "cache/postfx"):
         (home / folder).mkdir(parents=True)
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "postfx"
-    (cache / "kernels").mkdir(mode=0o700, parents=True, exist_ok=True)
-    for kernels in cache.glob("kernels*"):
+    (cache / "native").mkdir(mode=0o700, parents=True, exist_ok=True)
+    for kernels in cache.glob("native*"):
         (home / "cache/postfx" / kernels.name).symlink_to(kernels.resolve())
     os.environ |= {"TMPDIR": str(home), "XDG_CACHE_HOME": str(home / "cache")}
     tempfile.tempdir = None
@@ -88,7 +86,7 @@ def main(name: str, seconds: str, reproducers: list[str], flags: list[str], home
     sys.path.insert(0, str(CHECKOUT))
     os.chdir(home / "work")
     os.getpid = lambda: 1  # a number of its own would change what is tried from a seed
-    with atheris.instrument_imports(include=WATCHED, exclude=COMPILED):
+    with atheris.instrument_imports(include=WATCHED):
         from tests.fuzz import targets
 
         targets.seeds(name, home / "corpus")

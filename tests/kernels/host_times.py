@@ -14,7 +14,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.kernels.kernel_times import NUMBAS, ROOT, Side, in_turn, unpack
+from postfx.kernels.build import X86_64
+from tests.kernels.kernel_times import ROOT, Side, in_turn, unpack
 
 CALLS = {
     "exposure": "measure(colour)",
@@ -120,7 +121,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("commit")
     parser.add_argument("--calls", nargs="+", default=[*CALLS], choices=CALLS)
-    parser.add_argument("--level", nargs="+", default=["v3", "vnni"], choices=NUMBAS)
+    parser.add_argument("--level", nargs="+", default=["v3", "vnni"], choices=X86_64)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         before = unpack(options.commit, Path(folder))

@@ -22,7 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from postfx.kernels import Kernel, native
+from postfx.kernels import Kernel
+from postfx.kernels.build import X86_64
 from tests.kernels import denoise_cases, neural_cases, tonemap_cases
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,8 +31,6 @@ HEIGHT, WIDTH = 544, 960
 SECONDS = 2.0
 """Of processor time that each commit gets a kernel and level, about."""
 LEAST_TURNS, MOST_TURNS = 7, 101
-NUMBAS = {"v3": "x86-64-v3", "v4": "x86-64-v4", "vnni": "x86-64-v4-vnni"}
-"""What Numba's rows call the levels."""
 WORKER = """
 import sys, time
 from importlib import import_module
@@ -71,7 +70,7 @@ class Side:
         self.results = [found[name] for name in found.files]
 
     def _begin(self, tree: Path, words: Sequence[str], level: str) -> None:
-        environment = os.environ | native.target_of(NUMBAS[level]) | {"PYTHONPATH": str(tree)}
+        environment = os.environ | {"PYTHONPATH": str(tree)}
         self._process = subprocess.Popen([sys.executable, "-c", self.worker, *words, level], cwd=tree, env=environment,
                                          stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
@@ -163,7 +162,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("commit")
     parser.add_argument("kernels", nargs="+", metavar="MODULE:KERNEL")
-    parser.add_argument("--level", nargs="+", default=["v3", "vnni"], choices=NUMBAS)
+    parser.add_argument("--level", nargs="+", default=["v3", "vnni"], choices=X86_64)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         before = unpack(options.commit, Path(folder))

@@ -233,7 +233,7 @@ def test_constants_of_the_headers_are_those_of_python() -> None:
     for header in sorted(build.HERE.rglob("*.h")):
         text = header.read_text("utf-8")
         beside = header.with_suffix(".py")
-        known = constants_of(beside if beside.exists() else build.HERE / "numeric.py", text)
+        known = constants_of(beside if beside.exists() else build.HERE / "image.py", text)
         for name, value in re.findall(r"^constexpr (?:float|int) ([A-Z][A-Z\d_]+) = (-?[\d.e+-]+)f?;", text, re.M):
             if name in known:
                 assert np.float32(value) == np.float32(known[name]), f"{header}: {name}"
@@ -272,11 +272,16 @@ def test_a_plug_in_brings_one_header(plug_in: Path) -> None:
     kernel = Kernel("scale", ("image", "by"), ("scaled",), Rows("scale", plug_in), ("scaled", 0),
                     {"image": ("h", "w"), "by": (1,), "scaled": ("h", "w")})
     assert kernel.home == plug_in.parent
-    device = Device("cpu", threads=2)
+    device, told = Device("cpu", threads=2), []
     image = np.random.default_rng(0).random((9, 33), np.float32)
     bound = {"image": device.wrap("image", image), "by": device.wrap("by", np.float32([3])),
              "scaled": device.heap.tensor("scaled", (9, 33))}
-    state = device.compute_state(kernel)
+    library.levels()
+    with library.CompileWatch(told.append) as watch:
+        state = device.compute_state(kernel)  # before its first frame
+        assert watch.count == 1 and told == [0] and 0 < watch.seconds == watch.seconds
+        device.compute_state(kernel)
+    assert watch.count == 1
     commands = device.command_buffer("any")
     with commands.compute_encoder("any") as encoder:
         encoder.dispatch(state, ArgumentTable(state, bound))
@@ -384,3 +389,31 @@ def test_arrays_that_a_kernel_does_not_take_are_an_error() -> None:
         FILTER.rows(0, 1, *inputs, out)
     with pytest.raises(BindingError, match=r"exports no kernel 'nothing': write EXPORT\(nothing, rows\) there"):
         Rows("nothing")(0, 1)
+
+
+WITHOUT_OTHER_COMPILERS = """
+import sys
+sys.modules.update(numba=None, llvmlite=None)  # to import them fails
+import numpy as np
+import postfx
+from postfx.frame import Frame, Role
+from postfx.interpolate import Between
+from postfx.passes.scene import Occlusion
+random, size = np.random.default_rng(0), (48, 64)
+def frame(number):
+    planes = {Role.COLOUR: random.random((*size, 3), np.float32), Role.DEPTH: np.full((*size, 1), 4, np.float32),
+              Role.NORMAL: np.full((*size, 3), (0, 0, 1), np.float32), Role.MOTION: np.ones((*size, 2), np.float32)}
+    return Frame(planes, number=number)
+first, second = frame(1), frame(2)
+pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap(look="aces2")])
+shown = [pipeline(one)[Role.COLOUR] for one in (first, second)][-1]
+between = Between(first, second).frame(0.5)[Role.COLOUR]
+open_to_light = postfx.Pipeline([Occlusion(radius=1.0)], exposure=1.0)(first)[Role.COLOUR]
+for made in (shown, between, open_to_light):
+    assert made.shape == (*size, 3) and np.isfinite(made).all() and made.std() > 0
+"""
+
+
+def test_a_frame_needs_no_compiler_of_python() -> None:
+    """Denoised, tone-mapped, between two others, and its occlusion."""
+    subprocess.run([sys.executable, "-c", WITHOUT_OTHER_COMPILERS], cwd=REPOSITORY, check=True, timeout=300)

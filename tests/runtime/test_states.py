@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from postfx.kernels import Kernel
-from postfx.kernels.native import CompileWatch
-from postfx.kernels.numeric import kernel_jit
 from postfx.runtime import ArgumentTable, BindingError, Device, EncodingError, HazardError
 from postfx.runtime.states import could_match, solve
 from tests import toys
@@ -166,14 +164,3 @@ def test_kernel_that_makes_no_sense(fields):
     Kernel(**good)
     with pytest.raises(ValueError, match="kernel 'k'"):
         Kernel(**{**good, **fields})
-
-
-def test_kernels_are_compiled_once_for_the_types_they_name(device):
-    rows = kernel_jit()(lambda y0, y1, codes, out: None)
-    kernel = Kernel("codes", ("codes",), ("out",), rows, ("out", 0), {"codes": ("n",), "out": ("n",)},
-                    {"codes": "uint8"})
-    with CompileWatch() as watch:
-        state = device.compute_state(kernel)
-        tensors = [device.heap.tensor("codes", (4,), "uint8"), device.heap.tensor("out", (4,))]
-        state.prepare(tensors)()
-    assert len(rows.signatures) == 1 and watch.count <= 1

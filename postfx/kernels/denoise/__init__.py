@@ -21,7 +21,7 @@ pixels lie. ``factor`` is the reflectance that colour is divided and multiplied 
 pixels of the frame, from the cell before the part's first row and column on; (1, 1, 3) where planes are not doubted.
 
 Numbers that several files use are defined here, others in the file of their kernel, each once: `postfx.runtime.cuda`
-prints them for the CUDA kernels, and training imports them, those here also on machines without Numba.
+prints them for the CUDA kernels, and training imports them.
 """
 
 from collections.abc import Callable

@@ -320,9 +320,9 @@ def test_carried_histories_grow_longer_than_a_clip(tmp_path: Path, monkeypatch: 
 
 
 def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
-    """Such machines have PyTorch, kornia, NumPy, Numba and ONNX, but nothing else that postfx itself needs."""
+    """Such machines have PyTorch, kornia, NumPy and ONNX, but nothing else that postfx itself needs."""
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
-    needed = {re.match("[A-Za-z0-9_-]+", word)[0] for word in project["dependencies"]} - {"numpy", "numba"}
+    needed = {re.match("[A-Za-z0-9_-]+", word)[0] for word in project["dependencies"]} - {"numpy"}
     absent = (*sorted(needed), "colour", "mitsuba")
     assert {"platformdirs", "OpenImageIO", "onnxruntime"} <= set(absent)
     program = f"import sys; sys.modules.update(dict.fromkeys({absent})); import training.denoise.train"
