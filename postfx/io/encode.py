@@ -437,7 +437,7 @@ def quantise(codes: np.ndarray, bits: int, dither: Dither, number: int = 1, firs
     the pixel, the channel and, if it moves, on the frame's number; `first_row` is the place of the first row. 16 bits
     are not dithered.
     """
-    top = float(2**bits - 1)
+    top = np.float32(2**bits - 1)
     if bits != 8 or dither is Dither.NONE:
         rounded: np.ndarray = np.rint(np.clip(np.nan_to_num(codes), 0, 1) * top)
         return rounded.astype(np.uint8 if bits == 8 else np.uint16)
