@@ -180,8 +180,8 @@ CHOSEN = (
     ("py", "path.stat().st_size == output.bytes and hash_file(path) == output.sha256",
      "path.stat().st_size == output.bytes"),
     ("py", "if exponent in (0, 255)", "if exponent == 0"),
-    ("py", "z, -right, -down", "z, -right, down"),
-    ("py", "if z < nearest[j, i]:", "if True:"),
+    ("cpp", "inverse(j, i)[1] = -down;", "inverse(j, i)[1] = down;"),
+    ("cpp", "if (!(z < nearest(j)[i])) continue;", ""),
     ("py", "not (cut or frame.reset)", "not cut"),
 )
 """The kind of source, what stands once in all of postfx's sources of that kind, and the fault in its place."""

@@ -110,7 +110,7 @@ def _axes_of(kind: str) -> int:
     return int(kind.rstrip("r").split(":")[1])
 
 
-def _words_of(arrays: Iterable[np.ndarray]) -> list[int]:
+def _words_of(arrays: Iterable[Any]) -> list[int]:
     """Address and shape of each array."""
     words: list[int] = []
     for array in arrays:
