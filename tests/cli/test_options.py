@@ -15,7 +15,7 @@ from postfx.cli.report import RunReport
 from postfx.cli.run_options import RUN
 from postfx.cli.summary import warn_of_budget
 from postfx.errors import ModelError
-from postfx.io.sequence import Sequence
+from postfx.io.read_options import ReadOptions
 from postfx.io.writer import write_frame
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.display import make_display_passes
@@ -24,7 +24,7 @@ from postfx.runs.run import Options
 from postfx.runtime import Device, Library
 
 ROOM = Path(__file__).resolve().parents[2] / "samples" / "room"
-PARTS = {"device": Device, "sequence": Sequence, "look": make_display_passes, "writer": write_frame, "run": Options,
+PARTS = {"device": Device, "sequence": ReadOptions, "look": make_display_passes, "writer": write_frame, "run": Options,
          "page": RunReport, "capture": FrameCapture}
 
 
