@@ -21,7 +21,7 @@ from postfx.cli.run_options import RUN
 from postfx.colour.ocio import file_transform
 from postfx.errors import PostfxError
 from postfx.io.exr.container import ExrContainer, NewPart, write_container
-from postfx.io.sequence import Sequence
+from postfx.io.sequence import Sequence, read_sequence
 from tests.files.exr_files import COMPRESSIONS, write_mixed, write_studio
 from tests.fuzz import bombs, targets
 
@@ -78,7 +78,7 @@ def cryptomatte(content: bytes) -> None:
         del header.attributes["cryptomatte/abc/manifest"]
         header.set(f"cryptomatte/abc/{name}", "string", text)
         write_container(path, [NewPart(header, len(chunks), chunks)])
-        next(iter(Sequence(path, leave="logo")))
+        next(iter(read_sequence(path, leave="logo")))
 
 
 def seeds_of(name: str) -> Callable[[], list[bytes]]:
