@@ -21,7 +21,7 @@ from postfx.cli.run_options import RUN
 from postfx.colour.ocio import file_transform
 from postfx.errors import PostfxError
 from postfx.io.exr.container import ExrContainer, NewPart, write_container
-from postfx.io.sequence import Sequence, read_sequence
+from postfx.io.sequence import read_sequence
 from tests.files.exr_files import COMPRESSIONS, write_mixed, write_studio
 from tests.fuzz import bombs, targets
 
