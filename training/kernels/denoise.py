@@ -300,7 +300,8 @@ class Pool(nn.Module):
                 finer_columns: Tensor) -> tuple[Tensor, Tensor]:
         at, held = zip(*(pairs(first.long(), size) for first, size in zip((finer_rows, finer_columns), finer.shape[1:],
                                                                           strict=True)), strict=True)
-        weights = ops.pick(importance[None], *at).clamp(min=ops.LEAST_IMPORTANCE)
+        picked = ops.pick(importance[None], *at)
+        weights = torch.maximum(picked, picked.new_tensor(ops.LEAST_IMPORTANCE))  # infinity stays, unlike by clamp
         weights = weights * (held[0][:, None] & held[1]).to(finer.dtype)
         level, total = ops.pool(ops.pick(finer[None], *at), weights)
         return level[0], total[0]

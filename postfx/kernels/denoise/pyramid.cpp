@@ -20,7 +20,7 @@ FN F finer_pixel(const Planes& planes, Long k, Long y, Long x) {
 
 template <class F, bool EDGE> FN F finer_weight(const Planes& weights, Long y, Long x) {
     if (EDGE && is_beyond(weights, y, x)) return F(0.0f);
-    return larger<F>(pick<F, 2>(weights(0, y) + x), F(LEAST_IMPORTANCE));
+    return larger<F>(F(LEAST_IMPORTANCE), pick<F, 2>(weights(0, y) + x));  // NaN stays
 }
 
 template <class F, bool EDGE>

@@ -23,7 +23,8 @@ __device__ inline Pool pool_of(const View& importance, int top, int left, size_t
         const int v = top + i / 2, u = left + i % 2;
         there[i] = size_t(within(v, height)) * width + within(u, width);
         const bool held = v >= 0 && v < height && u >= 0 && u < width;
-        found.weights[i] = held ? fmaxf(importance.at[there[i]], LEAST_IMPORTANCE) : 0.0f;
+        const float weight = held ? importance.at[there[i]] : 0.0f;
+        found.weights[i] = held && weight < LEAST_IMPORTANCE ? LEAST_IMPORTANCE : weight;  // NaN stays
     }
     found.weigh();
     return found;
