@@ -8,6 +8,7 @@ import numpy as np
 
 from postfx.bench.stress import BRIGHTEST, HARD
 from postfx.frame import Frame, Role
+from postfx.io.read_options import ReadOptions
 from postfx.passes.composite import BothWays
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
@@ -23,6 +24,7 @@ class Held:
     def __init__(self, frames: list[Frame]) -> None:
         self._frames = {frame.number: frame for frame in frames}
         self.numbers = tuple(self._frames)
+        self.options = ReadOptions()
 
     def read(self, number: int, planes=None, guides=None) -> Frame:
         return self._frames[number]

@@ -32,7 +32,7 @@ from postfx.cli.tune import DESCRIPTION, TUNE
 from postfx.errors import FrameError, OptionError, PostfxError
 from postfx.exposure import ExposureMeter
 from postfx.frame import ROLES, Frame, Role
-from postfx.io.sequence import Sequence as Shot
+from postfx.io.sequence import read_sequence
 from postfx.passes.denoise.planes import shows_volume
 from postfx.system import usable_cores
 from training.denoise.checkpoint import load_weights
@@ -91,8 +91,10 @@ def inputs_of(frame: Frame, exposure: float) -> Inputs:
 def load(arguments: argparse.Namespace) -> list[Example]:
     """The examples of a shot."""
     values = TUNE.values_for("sequence", arguments)
-    shot = Shot(arguments.input, arguments.frames, arguments.profile, motion="auto", **values).first_view()
-    other = Shot(arguments.references or arguments.halves, profile=arguments.profile, motion="auto", **values)
+    shot = read_sequence(
+        arguments.input, arguments.frames, arguments.profile, motion="auto", **values).first_view()
+    other = read_sequence(
+        arguments.references or arguments.halves, profile=arguments.profile, motion="auto", **values)
     meter = ExposureMeter()
     found: list[Example] = []
     pairs = [(shot, other), (other, shot)] if arguments.halves else [(shot, other)]
