@@ -21,6 +21,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -96,10 +97,17 @@ def sources_of(unit: Path) -> list[Path]:
     """A file and the headers that it includes, itself or by others."""
     found = [unit]
     for path in found:
-        for name in re.findall(r'^#include "(.+)"', path.read_text("utf-8"), re.M):
-            headers = [(folder / name).resolve() for folder in (path.parent, HERE)]
-            found += [header for header in headers if header.exists() and header not in found][:1]
+        found += [header for header in _headers_of(path, path.stat().st_mtime_ns) if header not in found]
     return found
+
+
+@cache
+def _headers_of(path: Path, changed_ns: int) -> tuple[Path, ...]:
+    """The headers that a file includes itself, as of when it changed: many files include the same ones."""
+    names = re.findall(r'^#include "(.+)"', path.read_text("utf-8"), re.M)
+    places = [[(folder / name).resolve() for folder in (path.parent, HERE)] for name in names]
+    held = [[place for place in both if place.exists()][:1] for both in places]
+    return tuple(header for one in held for header in one)
 
 
 class Part(NamedTuple):
