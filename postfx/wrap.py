@@ -1,7 +1,8 @@
-"""Panoramas, whose right edge goes on at the left one: frames run with a margin of what lies beyond, which is cut off.
+"""Panoramas, whose right edge goes on at the left one.
 
-The margin is wider than what the networks see around a pixel, so edges come out as any other place does. Motion across
-the edge is followed as far as the margin reaches.
+Frames run with a margin of what lies beyond either edge, and the result is cropped. The margin is
+wider than what the networks see around a pixel, so edges come out as any other place does. Motion
+across the edge is followed as far as the margin reaches.
 """
 
 from __future__ import annotations
@@ -18,14 +19,17 @@ from postfx.passes import Pass
 from postfx.passes.denoise.tiling import GRID
 from postfx.plan import Plan, make_plan
 
-AUTO, AROUND, NONE = "auto", "x", "none"
+AUTO = "auto"
+AROUND = "x"
+NONE = "none"
 WRAPS = (AUTO, AROUND, NONE)
 LEAST_MARGIN = 64
 """Render pixels on either side: what the networks see around a pixel."""
-PART = 16
-"""Margins are at least the frame's width divided by this, for motion."""
+MARGINS_A_WIDTH = 16
+"""A margin is at least the frame's width divided by this, to hold motion across the edge."""
 MOST_STEPS = 64
-"""Wider margins, in steps of the networks' grid, that are tried for one that is whole in pixels of the output."""
+"""Wider margins that are tried, in steps of the networks' grid, until one is a whole number of the
+output's pixels."""
 
 
 def validate_wrap(wrap: str) -> str:
@@ -36,7 +40,7 @@ def validate_wrap(wrap: str) -> str:
 
 
 def is_panorama(attributes: Mapping[str, Any]) -> bool:
-    """Whether a header says that the picture is an equirectangular one, as OpenEXR's attribute 'envmap' does."""
+    """Whether a header says, as OpenEXR's attribute 'envmap', that the picture is equirectangular."""
     return attributes.get("textureformat") == "LatLong Environment"
 
 
@@ -47,7 +51,7 @@ def widened_plan(passes: Sequence[Pass], plan: Plan) -> tuple[Plan, int]:
     """
     spec, output = plan.available, plan.output
     sizes = [output.width, *([spec.guides.width] if spec.guides else [])]
-    least = -(-max(LEAST_MARGIN, spec.width // PART) // GRID) * GRID
+    least = -(-max(LEAST_MARGIN, spec.width // MARGINS_A_WIDTH) // GRID) * GRID
     fitting = (margin for margin in range(least, least + MOST_STEPS * GRID, GRID)
                if not any(margin * size % spec.width for size in sizes))
     margin = next(fitting, None)
@@ -55,10 +59,12 @@ def widened_plan(passes: Sequence[Pass], plan: Plan) -> tuple[Plan, int]:
         wide = None if margin is None else make_plan(passes, _widened_spec(spec, margin))
     except FrameError:  # another aspect
         wide = None
-    if margin is None or wide is None or wide.output.width != output.width + 2 * margin * output.width // spec.width:
-        raise PassOptionError(f"a panorama of {spec.width} pixels cannot become {output.width} wide without a seam: "
-                              "give a scale such as 1, 1.5 or 2 in place of a size, or wrap none")
-    return wide, margin
+    if margin is not None and wide is not None:
+        if wide.output.width == output.width + 2 * margin * output.width // spec.width:
+            return wide, margin
+    raise PassOptionError(
+        f"a panorama of {spec.width} pixels cannot become {output.width} wide without a seam: "
+        "give a scale such as 1, 1.5 or 2 in place of a size, or wrap none")
 
 
 def widen(frame: Frame, margin: int) -> Frame:
@@ -76,13 +82,15 @@ def widen(frame: Frame, margin: int) -> Frame:
         across = planes[Role.MOTION][..., 0]
         across -= width * np.round(np.nan_to_num(across) / width)  # the short way round
     guides = {role: around(guide) for role, guide in frame.guides.items()}
-    size = frame.guide_size and (frame.guide_size[0] + 2 * margin * frame.guide_size[0] // width, frame.guide_size[1])
+    size = frame.guide_size
+    if size is not None:
+        size = size[0] + 2 * margin * size[0] // width, size[1]
     parts = {name: around(part) for name, part in frame.parts.items()}
     return frame.copy_with(planes=planes, guides=guides, guide_size=size, parts=parts)
 
 
 def crop(result: Frame, given: Frame, plan: Plan) -> Frame:
-    """What comes out of a widened frame, without its margin. Guides are those of the frame as it was given."""
+    """What comes out of a widened frame, without its margin. Guides are those of the given frame."""
     width = plan.output.width
 
     def own(array: np.ndarray) -> np.ndarray:

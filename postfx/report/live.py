@@ -1,7 +1,8 @@
-"""Pictures sent to a viewer while frames are made: tev, and others that speak its protocol over TCP.
+"""Pictures sent to a viewer while frames are made: tev, and others that speak its protocol over
+TCP.
 
-The protocol is that of https://github.com/Tom94/tev (src/Ipc.cpp). A packet begins with its length, itself included,
-and its type; numbers are little-endian, names end with a zero.
+The protocol is described by https://github.com/Tom94/tev (src/Ipc.cpp). A packet begins with its
+length, itself included, and its type; numbers are little-endian, names end with a zero.
 """
 
 from __future__ import annotations
@@ -21,9 +22,13 @@ from postfx.colour.displays import srgb_decode
 from postfx.errors import OptionError
 from postfx.frame import LINEAR, Frame, Role
 
-HOST, PORT = "localhost", 14158
-CREATE, UPDATE = 4, 6
-"""Types of packets: an image without pixels, and pixels of a part of it (third version)."""
+HOST = "localhost"
+PORT = 14158
+"""Where tev listens unless it is told otherwise."""
+CREATE = 4
+"""Type of a packet that makes an image without pixels."""
+UPDATE = 6
+"""Type of a packet with pixels of a part of an image (its third version)."""
 CHANNELS = ("R", "G", "B")
 BAND = 256
 """Rows of a picture that one packet holds."""
@@ -110,8 +115,8 @@ class LiveViewer:
 
     def _tell(self, error: OSError) -> None:
         if not self._has_failed:
-            self._notice = (f"{self._address} takes no pictures ({error.strerror or error}): the run goes on without; "
-                            "open the viewer, and the next ones are sent to it")
+            self._notice = (f"{self._address} takes no pictures ({error.strerror or error}): "
+                            "the run goes on without; open the viewer, and the next ones are sent to it")
         self._has_failed = True
 
 
@@ -121,7 +126,8 @@ def packets(name: str, frame: Frame) -> Iterator[bytes]:
     light = colour if frame.encoding in LINEAR else srgb_decode(colour)
     height, width, count = light.shape
     named = name.encode() + b"\0"
-    channels = struct.pack("<i", count) + b"".join(channel.encode() + b"\0" for channel in CHANNELS[:count])
+    names = [channel.encode() + b"\0" for channel in CHANNELS[:count]]
+    channels = struct.pack("<i", count) + b"".join(names)
     yield _packet(CREATE, named + struct.pack("<ii", width, height) + channels)
     places = np.arange(count, dtype="<i8").tobytes() + np.full(count, count, "<i8").tobytes()
     for top in range(0, height, BAND):
