@@ -190,17 +190,9 @@ EQUIVALENT = {
     "number: 1 -> 2 in head = json.dumps(": "JSON means the same with other spaces",
     "number: 0.0 -> -1.0 in signal = np.clip(": "what is below 0 becomes 0, too",
     "number: 0 -> -1 in mix_row(": "the output of a network holds one frame, the first and the last",
-    "number: 0 -> -1 in upper = fine[0, first, iy": "the output of a network holds one frame, the first and the last",
     "number: 0 -> -1 in _correct_type(headers[0]": "a file of one part has one header",
     "number: 7 -> 6 in shifted = [correlation(": "noise is as unrelated to that of six pixels away as of seven",
     "number: 1 -> 0 in x += 1": "the pixel is computed a second time",
-    "number: 2 -> 3 in lines = np.empty((3, count + 2)": "a row is longer than what is read of it",
-    "number: 0 -> -1 in left, right = min(max(first, 0), w - 1)": "the second pixel is never before the picture",
-    "number: 2 -> 3 in edges = np.empty((2, count)": "the array is longer than what is read of it",
-    "operator: + -> - in demodulation_row(diffuse_albedo[y, first:first + count]":
-        "compiled rows are read from where they begin; the length that they give is not looked at",
-    "operator: <= -> < in light[i] = max(mixed, ZERO) if mixed <= MAX_FLOAT": "no light is just the largest number",
-    "chosen: or abs(columns[1]) > MARGIN - 3 -> or columns[1] > MARGIN - 3": "the second column lies after the first",
 }
 """How the name of a fault begins -> why no test can find it."""
 

@@ -26,8 +26,6 @@ RADIUS, TANGENTS, CAMERA = 9, 10, 12
 SLICES, STEPS = 4, 8
 WAYS, REACHES = 8, (0.04, 0.1, 0.2, 0.4, 0.65, 1.0)
 LOOK = 2 * WAYS * len(REACHES) + 5
-MOST_REACH = np.float32(0.5)
-"""Share of the picture's height that the radius may cover on the screen."""
 FAR = np.float32(1e5)
 """Depth in radii from which on a pixel counts as empty."""
 

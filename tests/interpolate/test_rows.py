@@ -12,7 +12,7 @@ import pytest
 from postfx import Between
 from postfx.bench.baselines import Accumulator, HostKernels
 from postfx.frame import Frame, Role
-from postfx.interpolate import choose, paths
+from postfx.interpolate import blend, choose, flow, paths, timing
 from postfx.io.estimated_motion import motion_of
 from postfx.kernels import build, library
 from postfx.kernels.library import Rows
@@ -132,12 +132,13 @@ def test_every_level_gives_the_same_bits_whatever_is_given(name: str, calls: dic
 
 def test_constants_of_the_kernels_are_those_of_python() -> None:
     checked = 0
+    modules = {module.__name__.rpartition(".")[2]: module for module in (blend, choose, flow, paths, timing)}
     for source in (build.HERE / "interpolate").glob("*.[hc]*"):
-        module = {"choose": choose, "paths": paths}.get(source.stem)
+        module = modules.get(source.stem)
         text = source.read_text("utf-8")
         for name, value in re.findall(r"^constexpr (?:float|int) ([A-Z_]+) = (-?[\d.e+-]+)f?;", text, re.M):
             known = getattr(module, name, None)
             if isinstance(known, int | float | np.number):
                 assert np.float32(value) == np.float32(known), f"{source.relative_to(REPOSITORY)}: {name}"
                 checked += 1
-    assert checked > 20
+    assert checked > 35

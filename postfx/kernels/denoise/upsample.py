@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from postfx.kernels.denoise import BOTH, GUIDE_REFLECTANCE, in_half, kernel
 
 SIGMA = 0.5
-ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 TAPS = 9
 
 WRITES = ("output", "next_history")
