@@ -184,12 +184,14 @@ SUFFIX = ".claim"
 class Claim:
     """Reserves files of a folder for one run. Make it while holding the folder's lock.
 
-    A thread touches the claim's file as a heartbeat. Claims of runs that have ended are removed. Raises RunError if a
-    run that has not ended claims one of the files.
+    A thread touches the claim's file as a heartbeat. Claims of runs that have ended are removed, and so are claims that
+    a killed run had begun to write. Raises RunError if a run that has not ended claims one of the files.
     """
 
     def __init__(self, folder: Path, run: str, names: Iterable[str]) -> None:
         wanted = set(names)
+        for partial in folder.glob(f".*{SUFFIX}.*"):  # who writes a claim holds the lock: these are of killed runs
+            remove(partial)
         for other in folder.glob(f"*{SUFFIX}"):
             _refuse_shared(other, wanted)
         self.path = folder / f"{run}{SUFFIX}"

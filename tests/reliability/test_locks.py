@@ -245,6 +245,14 @@ def test_partial_files_of_runs_that_live_stay(tmp_path):
     living.release()
 
 
+def test_a_claim_that_a_killed_run_had_begun_leaves_nothing(tmp_path):
+    work = tmp_path / ".postfx"
+    work.mkdir()
+    (work / ".killed.claim.host-1-0.part").touch()
+    RunFolder(tmp_path, "new", ["a"]).release()
+    assert not work.exists()
+
+
 def test_partial_manifest_is_removed_under_the_lock_only(tmp_path, monkeypatch):
     """Another run may be writing it: it holds the lock meanwhile."""
     (tmp_path / f".{NAME}.host-1-0.part").touch()
