@@ -24,6 +24,8 @@ import torch
 from torch import Tensor
 
 PREFIX, HALF = "trunk.", "_half"
+ADDED = ("correct", "enter", "join")
+"""Layers of a picture network that add to a published one: without them it is that network."""
 
 
 def save(checkpoint: dict[str, Any], path: Path) -> None:
@@ -91,10 +93,13 @@ def widen(weights: dict[str, Tensor], wider: dict[str, Tensor]) -> dict[str, Ten
     """The network of ``weights`` in the layout of ``wider``, which has more channels or levels: the same function.
 
     New channels keep their weights in ``wider``, but nothing that existed reads them yet, as in Net2Net (Chen,
-    Goodfellow and Shlens, 2016). New levels begin with the filter that was the same at all pixels. Raises ValueError if
-    the network does not fit into ``wider``.
+    Goodfellow and Shlens, 2016). New levels begin with the filter that was the same at all pixels, and layers that add
+    to a published network with nothing. Raises ValueError if the network does not fit into ``wider``.
     """
     found = {name: values.clone() for name, values in wider.items()}
+    for name in found.keys() - weights.keys():
+        if name.removeprefix(PREFIX).partition(".")[0] in ADDED:
+            found[name].zero_()
     levels = count_levels(weights)
     for name, values in weights.items():
         word, _, place = name.removeprefix(PREFIX).partition(".")
@@ -175,22 +180,24 @@ def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None) -> dict[
     if parts[0][0].suffix == ".onnx":
         raise ValueError(f"{parts[0][0]}: an exported network cannot be the first part: begin with a checkpoint")
     first = read(parts[0][0])
-    found = []
+    found, read_parts = [], []
     for path, share in parts:
         if path.suffix == ".onnx":
             one = first | {"weights": load_weights(path, bool(first["config"].get("trust")))}
         else:
             one = read(path)
+            read_parts.append(one)
         try:
             found.append((widen(one["weights"], first["weights"]), share))
         except ValueError as fault:
             raise ValueError(f"{path}: another layout than {parts[0][0]}: {fault}") from None
     weights = {name: sum(share * one[name].float() for one, share in found) for name in first["weights"]}
     told = " + ".join(f"{share:g} {path}" for path, share in parts)
+    begun = {"start": one["notes"]["start"] for one in read_parts if "start" in one["notes"]}
     config = first["config"]
     if levels is not None:
         weights, config = keep_levels(weights, levels), {**config, "widths": config["widths"][:levels]}
-    return {"config": config, "weights": weights, "notes": {**first["notes"], "weights": told}}
+    return {"config": config, "weights": weights, "notes": {**first["notes"], **begun, "weights": told}}
 
 
 def options() -> argparse.ArgumentParser:

@@ -8,9 +8,10 @@ Blender's planes that follow mirrors: this one learns them.
 
 Its first nine inputs are those of Open Image Denoise: colour behind the curve `encode`, albedo and
 normal. The others are the features of `model.features`, the planes that follow mirrors and glass,
-and the accumulated colour and the last output behind the same curve. A branch at full size reads
-all of them and joins the finest level. What it adds begins as zero. The controls are found last,
-beside the difference of the new picture and the history.
+and the accumulated colour and the last output behind the same curve. A branch of three levels reads
+all of them. It corrects the nine inputs, which is how noise leaves the planes, and it joins the
+first and the finest level. All that it adds begins as zero. The controls are found last, beside the
+difference of the new picture and the history.
 
 Published weights have a learning rate of their own (`train.py --published-rate`). Two trainings at
 a rate for random weights ended below their starts (docs/lab/denoiser.md).
@@ -53,7 +54,7 @@ LEAST_BASE = 1e-12  # of a power, whose gradient at 0 is infinite
 GUIDED_INPUTS = 9  # colour, albedo, normal: what Open Image Denoise reads
 FURTHER_INPUTS = FEATURES + MIRRORED + 6
 HISTORY = FURTHER_INPUTS - 3  # where the codes of the last output begin among them
-BESIDE = 32  # channels of the branch beside the published network
+BESIDE = (32, 48, 64)  # channels of the branch at 1, 1/2 and 1/4 of the size
 JUDGE = 24  # channels of what compares the picture with the history
 LEVELS = 4
 BLEND_BEGINS = 0.5  # logit of the new picture's share beside the history
@@ -130,7 +131,8 @@ class PictureConfig:
         return total
 
 
-LEVEL_OF = {"enc_conv2": 1, "enc_conv3": 2, "enc_conv4": 3, "enc_conv5a": 4, "enc_conv5b": 4,
+LEVEL_OF = {"branch.half_down": 1, "branch.half_up": 1, "branch.quarter_in": 2, "branch.quarter_out": 2,
+            "enc_conv2": 1, "enc_conv3": 2, "enc_conv4": 3, "enc_conv5a": 4, "enc_conv5b": 4,
             "dec_conv4a": 3, "dec_conv4b": 3, "dec_conv3a": 2, "dec_conv3b": 2, "dec_conv2a": 1, "dec_conv2b": 1}
 """Levels of convolutions below the render size."""
 
@@ -171,16 +173,18 @@ class PictureNetwork(nn.Module):
         self.dec_conv1a = conv(up_two + GUIDED_INPUTS, up_one)
         self.dec_conv1b = conv(up_one, last)
         self.dec_conv0 = conv(last, 3)
-        self.enter = nn.Conv2d(FURTHER_INPUTS, one, 3, padding=1, bias=False)
-        self.beside = nn.Sequential(conv(GUIDED_INPUTS + FURTHER_INPUTS, BESIDE), nn.ReLU(),
-                                    conv(BESIDE, BESIDE), nn.ReLU())
-        self.join = nn.Conv2d(BESIDE, up_one, 1)
-        self.judge = nn.Sequential(conv(last + BESIDE + 6, JUDGE), nn.ReLU())
+        self.branch = Branch(GUIDED_INPUTS + FURTHER_INPUTS)
+        known = BESIDE[0]
+        self.correct = conv(known, GUIDED_INPUTS)
+        self.enter = nn.Conv2d(known, one, 3, padding=1, bias=False)
+        self.join = nn.Conv2d(known, up_one, 1)
+        self.judge = nn.Sequential(conv(last + known + 6, JUDGE), nn.ReLU())
         self.controls = nn.Conv2d(JUDGE, CONTROLS, 1)
         self.error = nn.Conv2d(JUDGE, 1, 1)
-        for added in (self.enter, self.join):
+        for added in (self.correct, self.enter, self.join):
             nn.init.zeros_(added.weight)
-        nn.init.zeros_(self.join.bias)
+        for added in (self.correct, self.join):
+            nn.init.zeros_(added.bias)
         for head in (self.controls, self.error):
             nn.init.normal_(head.weight, std=HEAD_STD)
             nn.init.zeros_(head.bias)
@@ -190,8 +194,8 @@ class PictureNetwork(nn.Module):
 
     def forward(self, features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         guided, further = network_inputs(features, mirrored)
-        known = self.beside(torch.cat((guided, further), 1))
-        stream = self.published_stream(guided, further) + self.join(known)
+        known = self.branch(torch.cat((guided, further), 1))
+        stream = self.published_stream(guided + self.correct(known), known) + self.join(known)
         stream = F.relu(self.dec_conv1b(F.relu(stream)))
         with torch.autocast(stream.device.type, enabled=False):  # a step of bfloat16 in a code is 2 % of the light
             codes = self.dec_conv0(stream.float()).clamp(0.0, 1.0)
@@ -201,9 +205,9 @@ class PictureNetwork(nn.Module):
             judged = judged.float()
             return activate(codes, self.controls(judged), self.error(judged))
 
-    def published_stream(self, guided: Tensor, further: Tensor) -> Tensor:
+    def published_stream(self, guided: Tensor, known: Tensor) -> Tensor:
         """The finest level's stream before the last three convolutions."""
-        x = F.relu(self.enc_conv0(guided) + self.enter(further))
+        x = F.relu(self.enc_conv0(guided) + self.enter(known))
         first = F.max_pool2d(F.relu(self.enc_conv1(x)), 2)
         second = F.max_pool2d(F.relu(self.enc_conv2(first)), 2)
         third = F.max_pool2d(F.relu(self.enc_conv3(second)), 2)
@@ -217,6 +221,28 @@ class PictureNetwork(nn.Module):
     def published(self) -> list[nn.Parameter]:
         """Weights that a published network has, too."""
         return [weight for name, weight in self.named_parameters() if name.startswith(("enc_", "dec_"))]
+
+
+class Branch(nn.Module):
+    """All inputs (N, C, h, w) -> what the branch knows of each pixel, (N, 32, h, w), from 20 pixels around it."""
+
+    def __init__(self, inputs: int):
+        super().__init__()
+        one, two, three = BESIDE
+        self.full = conv(inputs, one)
+        self.half_down = conv(one, two)
+        self.quarter_in = conv(two, three)
+        self.quarter_out = conv(three, three)
+        self.half_up = conv(three + two, two)
+        self.known = conv(two + one, one)
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        full = F.relu(self.full(inputs))
+        half = F.relu(self.half_down(F.max_pool2d(full, 2)))
+        quarter = F.relu(self.quarter_in(F.max_pool2d(half, 2)))
+        quarter = F.relu(self.quarter_out(quarter))
+        half = F.relu(self.half_up(beside(quarter, half)))
+        return F.relu(self.known(beside(half, full)))
 
 
 def beside(coarser: Tensor, skip: Tensor) -> Tensor:

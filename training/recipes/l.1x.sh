@@ -2,7 +2,9 @@
 # Render, clean and train on one machine: the network for the render's own size, from the recipe of its data.
 #
 # usage: l.1x.sh WORK MINUTES [CHECKPOINT]
-#   WORK        folder for clips, logs and the run; WORK/run/checkpoint.pt is written every two minutes
+#   WORK        folder for clips, logs and the run; WORK/run/checkpoint.pt is written every two minutes, and
+#               WORK/l.1x.pt at the end: 0.4 of the trained weights and 0.6 of the published ones, for
+#               python -m training.denoise.export WORK/l.1x.pt --tag l.1x --network-only
 #   MINUTES     of the whole, of which the last fifth of the training lowers the rate
 #   CHECKPOINT  packed state to go on from (training.denoise.checkpoint pack)
 #
@@ -46,8 +48,9 @@ start=${START:-$work/start.pt}
 sleep "$((60 * head))"
 left=$((60 * minutes - $(date +%s) + began))
 CUDA_VISIBLE_DEVICES=0 "$python" -m training.denoise.train --clips "$work/views=3" "$work/mitsuba=2" "$work/formula" \
-    --out "$work/run" --minutes "$("$python" -c "print($left / 60)")" --cool 0.2 \
-    --picture --published-rate 0.05 --volumes --batch 16 --crop 128 --rate 3e-4 --flicker 2 \
-    --even 4 --clean 0.1 --reset 0.07 --light 1.5 0.5 --false-motion 0.1 --sparse-planes 0.1 --blend 0.5 \
-    --wait 32 $(if [ -n "$checkpoint" ]; then echo --continue "$checkpoint"; else echo --start "$start"; fi) >"$work/logs/train.log" 2>&1
+    --out "$work/run" --minutes "$("$python" -c "print($left / 60)")" --cool 0.3 \
+    --picture --published-rate 0.01 --volumes --batch 16 --crop 128 --rate 3e-4 --flicker 1 \
+    --even 4 --clean 0.1 --reset 0.07 --light 0.5 0.5 --false-motion 0.1 --sparse-planes 0.1 --blend 0.5 \
+    --wait 50 $(if [ -n "$checkpoint" ]; then echo --continue "$checkpoint"; else echo --start "$start"; fi) >"$work/logs/train.log" 2>&1
 wait
+"$python" -m training.denoise.checkpoint mix "$work/run/checkpoint.pt:0.4" "$start:0.6" -o "$work/l.1x.pt"

@@ -28,6 +28,7 @@ from postfx.passes.denoise.models import (
     Ladder,
     cost,
     family,
+    filter_remarks,
     gives_picture,
     has_model,
     model_of,
@@ -39,7 +40,7 @@ from postfx.passes.denoise.models import (
     validate_tag,
 )
 from postfx.passes.denoise.options import Size, output_size, parse_reactive, validate_scale, validate_size
-from postfx.passes.denoise.parts import checked_parts
+from postfx.passes.denoise.parts import checked_parts, has_noisy_alpha
 from postfx.passes.denoise.planes import ABSENT, MIRRORED, passthrough_roles
 from postfx.passes.denoise.tiling import Sizes, active_cells, whole_tiles
 from postfx.repeats import ONE_SEED, RepeatDetector
@@ -134,7 +135,7 @@ class DenoiseUpscale(Pass):
         self._used: str | None = None
         self._cameras, self._repeats = Cameras(), RepeatDetector()
         self._notice: str | None = None
-        self._has_told = False
+        self._has_told = self._has_told_of_alpha = False
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
         asked = validate_tag(str(model), own)
         self._tag = CLASSIC if self._falls_back(asked) else asked
@@ -178,7 +179,9 @@ class DenoiseUpscale(Pass):
         found = [NO_NETWORKS] if self._is_fallback else []
         found += [] if spec.has(Role.MOTION) else [alone]
         found += [f"no {' and no '.join(lost)}: results are blurrier"] if lost else []
-        found += unscaled_remarks(self._tag) if self._is_render_size(spec) else []
+        if self._is_render_size(spec):
+            found += unscaled_remarks(self._tag)
+            found += filter_remarks(self._tag) if self._parts else []
         return (*found, *self._guide_remarks(spec), *self._mask.remarks(spec))
 
     def accumulates(self, spec: FrameSpec) -> bool:
@@ -229,8 +232,11 @@ class DenoiseUpscale(Pass):
         if not self.strength:
             return ReadyPlain(self._device, spec, size, self._parts)
         models, guided = self._models(spec), self._is_guided(spec)
-        return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask,
-                            self._parts, self._alpha, self._part_history, self._error)
+        with_alpha = self._alpha_models(spec, models)
+        found = ReadyNetwork(self._device, spec, size, models | with_alpha, self._history, guided, self.strength,
+                             self._mask, self._parts, self._alpha, self._part_history, self._error)
+        found.alpha_tag = next(iter(with_alpha), None)
+        return found
 
     def _tags_for(self, spec: FrameSpec, runs_rows: bool = True) -> tuple[str, ...]:
         """Tags to choose from for frames of a spec, fastest first; one without a budget."""
@@ -245,8 +251,15 @@ class DenoiseUpscale(Pass):
     def _models(self, spec: FrameSpec) -> dict[str, str]:
         """The networks to choose from for frames of a spec, by their short tags."""
         tags, ending = self._tags_for(spec, self._device.runs_rows), self._ending(spec)
-        filters = bool(self._parts) or (self._alpha and spec.has(Role.ALPHA))
-        return {short_tag(tag): model_of(tag, ending, self._device, filters) for tag in tags}
+        return {short_tag(tag): model_of(tag, ending, self._device, bool(self._parts)) for tag in tags}
+
+    def _alpha_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
+        """The network that noisy alpha takes instead, by its tag, where one of the ``models`` has no filters for it. A
+        frame whose error is asked for keeps its network and its alpha."""
+        if self._error or not (self._alpha and spec.has(Role.ALPHA)) or not any(map(gives_picture, models.values())):
+            return {}
+        model = model_of(self._tag, self._ending(spec), self._device, filters=True)
+        return {next((tag for tag, other in models.items() if other == model), short_tag(model)): model}
 
     def note_time(self, milliseconds: float) -> None:
         if self.strength:
@@ -335,18 +348,22 @@ class DenoiseUpscale(Pass):
         self._widen(commands, frame, ready, keep)
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
         self._used = self._tags[self._ladder.rung if self._ladder else 0]
-        ready.frames.use(ready.models[self._used])
+        if ready.alpha_tag and gives_picture(ready.models[self._used]) and has_noisy_alpha(frame):
+            self._used = ready.alpha_tag
+            self._tell_of_alpha()
+        model = ready.models[self._used]
+        ready.frames.use(model)
         still = keep and gain == 1 and self._is_still(frame)
         savings.begin(1.0 if band is None else band.share, keep or repeats, still)
         savings.note_repeats(repeats)
-        blanks = ready.models[self._used] in ready.blanking
+        blanks = model in ready.blanking
         planes: Mapping[str, Tensor] = ready.planes.encode(commands, frame, blanks)
         savings.note_planes(ready.planes.hazy)
         planes = {**planes, **ready.reactive.encode(commands, frame)}
         if ready.reflections:
             change = self._cameras.step(frame, keep and not still, savings.note_unfollowed)
             planes = ready.reflections.encode(commands, frame, change, planes)
-        filtered = ready.layers if self._used != CLASSIC else None
+        filtered = ready.layers if self._used != CLASSIC and not gives_picture(model) else None
         if ready.layers and not filtered:  # alpha is only resampled
             ready.layers.skip()
         layers, written = filtered.begin(commands, frame, planes, params, keep) if filtered else ([], {})
@@ -357,7 +374,7 @@ class DenoiseUpscale(Pass):
         colour = denoised = ready.frames.encode(commands, planes, params, keep, still, band, layers, written)
         own_runs = filtered.own_runs(frame, planes, params, keep) if filtered else ()
         for name, seen, own_params, output in own_runs:
-            ready.own[name].use(ready.models[self._used])
+            ready.own[name].use(model)
             own_still = still and own_params[GAIN] == params[GAIN]
             ready.own[name].encode(commands, seen, own_params, keep, own_still, band, (), {"output": output})
         self._fresh, self._exposure = not frame.unusable, frame.exposure_factor
@@ -367,6 +384,13 @@ class DenoiseUpscale(Pass):
         if filtered:
             filtered.finish(commands, frame, denoised, colour, ready.restore, ready.strength, rows)
         return ready.wider.narrow(commands, frame, colour) if self._wider else colour
+
+    def _tell_of_alpha(self) -> None:
+        """Say once that noisy alpha takes another network."""
+        if not self._has_told_of_alpha:
+            self._notice = (f"its alpha is noisy, so model '{self._used}' runs: '{short_tag(self._tag)}' filters the "
+                            "picture alone; fix: --no-alpha-denoise keeps alpha as it is")
+            self._has_told_of_alpha = True
 
     def _widen(self, commands: CommandBuffer, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> None:
         """Go on in wider primaries to the end of the shot where a frame's light needs them, the history too."""
@@ -411,7 +435,7 @@ class DenoiseUpscale(Pass):
         if not self.strength:
             raise PassOptionError("strength 0 runs no network, so none predicts the error: leave one of the two out")
         for tag in self._tags_for(spec):
-            if not predicts_error(model_of(tag, self._ending(spec))):
+            if not predicts_error(model_of(tag, self._ending(spec), filters=bool(self._parts))):
                 raise PassOptionError(f"model '{short_tag(tag)}' does not predict its error at this size: "
                                       f"{self._error_remedy()}")
 

@@ -408,7 +408,10 @@ class ReadyNetwork(Ready):
         own: runs the models on parts that have filters of their own, by name.
         wider: for light that the frame's primaries do not hold.
         error: the plane of expected errors; None if it is not asked for.
+        alpha_tag: the network of frames whose alpha is noisy, where the others have no filters for it.
     """
+
+    alpha_tag: str | None = None
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str], history: History,
                  guided: bool, strength: float, mask: ReactiveOption, parts: Sequence[Part], alpha: bool,

@@ -104,6 +104,14 @@ def unscaled_remarks(tag: str) -> list[str]:
     return [f"model '{tag}' has no network for 1x: '{other}' stands in, which is better there"]
 
 
+def filter_remarks(tag: str) -> list[str]:
+    """What a plan says of parts of the picture where a network gives the picture alone."""
+    if not gives_picture(model_of(tag, UNSCALED)):
+        return []
+    other = short_tag(model_of(tag, UNSCALED, filters=True)).removesuffix(UNSCALED)
+    return [f"model '{short_tag(tag)}' filters the picture alone: '{other}' runs, which filters its parts, too"]
+
+
 def _stand_in(tag: str) -> str:
     """The stand-in at 1x, 'l.int8' -> 'm.int8'; a tag without one is its own."""
     size, dot, precision = tag.partition(".")

@@ -245,7 +245,7 @@ class Layers:
             found += [] if complete or WHOLE in found else [WHOLE]
             self._note_reach(frame, group)
         found += [name for name in self._parts if name != ALPHA_LAYER and self._kind(name) != FACTOR]
-        return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and _is_noisy(frame) else [])
+        return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and has_noisy_alpha(frame) else [])
 
     def _note_reach(self, frame: ResidentFrame, group: Group) -> None:
         """Where the parts of a group have light in this frame: what is seen by a colour, lamps, and reflections."""
@@ -445,7 +445,7 @@ def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
     return np.stack([inverse, there, there], axis=-1, dtype=np.float32), [sign, nothing, near, far, -1.0]
 
 
-def _is_noisy(frame: ResidentFrame) -> bool:
+def has_noisy_alpha(frame: ResidentFrame) -> bool:
     """Whether alpha has noise to filter: values between 0 and 1, or the holes and specks of one sample a pixel."""
     alpha = frame.host_planes.get(Role.ALPHA)
     if alpha is None:

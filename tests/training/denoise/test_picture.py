@@ -11,7 +11,7 @@ from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.errors import PassOptionError
 from postfx.frame import Role
 from training.denoise import open_weights
-from training.denoise.checkpoint import PREFIX, save, widen
+from training.denoise.checkpoint import PREFIX, mix, save, widen
 from training.denoise.export import card, export_trunk, load_trunk
 from training.denoise.model import Inputs, empty_state
 from training.denoise.picture import (
@@ -133,7 +133,8 @@ def test_published_weights_get_their_own_rate(denoiser):
 def test_what_is_added_to_a_published_network_begins_as_nothing():
     torch.manual_seed(1)
     network = PictureNetwork(SMALL)
-    assert not network.enter.weight.any() and not network.join.weight.any()
+    assert not any(weight.any() for name, weight in network.named_parameters()
+                   if name.startswith(("correct", "enter", "join")))
 
 
 def test_it_keeps_the_size(denoiser):
@@ -186,3 +187,15 @@ def test_training_starts_from_a_checkpoint_of_published_weights(tmp_path, denois
     fresh = PictureDenoiser(PictureNetwork(SMALL))
     found = widen(weights, fresh.state_dict())
     assert all(torch.equal(found[name], values) for name, values in weights.items())
+
+
+def test_a_mixture_with_published_weights_fades_what_was_added(tmp_path, denoiser):
+    """Layers that add to the published network count as nothing in it; the others are the trained ones."""
+    trained = denoiser.state_dict()
+    published = {name: torch.zeros_like(values) for name, values in trained.items() if "_conv" in name}
+    for name, weights in (("trained", trained), ("published", published)):
+        save({"config": SMALL.as_dict(), "weights": weights, "notes": {}}, tmp_path / f"{name}.pt")
+    mixed = mix([(tmp_path / "trained.pt", 0.25), (tmp_path / "published.pt", 0.75)])["weights"]
+    for name, share in (("correct.weight", 0.25), ("join.bias", 0.25), ("enc_conv1.weight", 0.25), ("judge.0.weight", 1),
+                        ("branch.full.bias", 1)):
+        torch.testing.assert_close(mixed[PREFIX + name], share * trained[PREFIX + name])
