@@ -174,6 +174,25 @@ def halo_of(models: Iterable[str]) -> int:
     return max(_halo_in_card(model) or _halo(model) for model in models)
 
 
+REACHES, GUIDED_REACH = {CLASSIC: 72, "s": 136, "m": 64, "l": 64}, 224
+"""Render pixels that a network sees around each at most, counted by its convolutions: nothing farther away changes a
+bit of what it gives."""
+
+
+def reach_of(models: Iterable[str]) -> int:
+    """How far the results of all of these models depend on pixels; 0 if that is not known."""
+    reaches = [_halo_in_card(model) or _reach(model) for model in models]
+    return max(reaches) if all(reaches) else 0
+
+
+def _reach(model: str) -> int:
+    if "/" in model or model.endswith(FILE):
+        return 0
+    if model.endswith(GUIDED):
+        return GUIDED_REACH
+    return REACHES.get(model if model == CLASSIC else model.split(".")[1], 0)
+
+
 def seamless(models: Iterable[str]) -> int:
     """Halo of tiles side by side. A measured one is larger than around masks, as every seam shows: with it integer
     networks agree, too, frame after frame."""
