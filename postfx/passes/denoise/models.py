@@ -163,7 +163,7 @@ def blanks_volumes(model: str) -> bool:
     return bool(_card(model).get("blanks_volumes", True))
 
 
-HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 56, "m": 44, "l": 48}, 104
+HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 56, "m": 44, "l": 48}, 96
 """Render pixels that a network must see around active ones so that the result differs by less than 1e-3 from that of
 the whole frame: by model size, the largest for other models, and for models that read guides. docs/lab/denoiser.md
 lists the differences. A card's own "halo" comes before them."""
