@@ -1,7 +1,7 @@
 """Measure how the time of a frame falls with the share of it that is masked.
 
 python samples/masked_speed.py [--width 960] [--height 540] [--runs 5] [--model m] [--scale 2] [--guides]
-                               [--shares 0,90] [-o masked.png]
+                               [--shares 0,90] [--threads 1] [-o masked.png]
 
 The upper part of the picture has strength 0, as a sky would; the rest is denoised. Prints medians of runs in turn, for
 the denoised upscaler alone and with tone mapping, over those of a frame without a mask; the picture is of the same.
@@ -43,12 +43,13 @@ def noisy_frames(width: int, height: int, guided_scale: int | None) -> list[post
             for frame in frames]
 
 
-def measure(frames: list[postfx.Frame], model: str, scale: float, runs: int,
-            shares: Iterable[int] = SHARES) -> Iterator[tuple[int, dict[str, float], dict[str, float]]]:
+def measure(frames: list[postfx.Frame], model: str, scale: float, runs: int, shares: Iterable[int] = SHARES,
+            threads: int | None = None) -> Iterator[tuple[int, dict[str, float], dict[str, float]]]:
     """For each share of masked pixels the milliseconds of each pass, and those without a mask, in turn with them."""
-    whole = chain(model, scale)
+    device = postfx.Device("cpu", threads=threads) if threads else None
+    whole = chain(model, scale, device)
     for percent in shares:
-        ways = {whole: frames, chain(model, scale): [masked(frame, percent) for frame in frames]}
+        ways = {whole: frames, chain(model, scale, device): [masked(frame, percent) for frame in frames]}
         times: dict[postfx.Pipeline, list[dict[str, float]]] = {}
         for run in range(runs + 2):
             for way, seen in ways.items():
@@ -60,8 +61,8 @@ def measure(frames: list[postfx.Frame], model: str, scale: float, runs: int,
         yield percent, found, without
 
 
-def chain(model: str, scale: float) -> postfx.Pipeline:
-    return postfx.Pipeline([postfx.DenoiseUpscale(scale=scale, model=model), postfx.ToneMap()])
+def chain(model: str, scale: float, device: postfx.Device | None) -> postfx.Pipeline:
+    return postfx.Pipeline([postfx.DenoiseUpscale(scale=scale, model=model), postfx.ToneMap()], device)
 
 
 def plot(ratios: list[tuple[int, float, float]], title: str, path: Path) -> None:
@@ -90,12 +91,13 @@ def main() -> None:
     parser.add_argument("--scale", type=int, default=2)
     parser.add_argument("--guides", action="store_true", help="give frames guides of the output's size")
     parser.add_argument("--shares", default=",".join(map(str, SHARES)), help="masked, %% (default: %(default)s)")
+    parser.add_argument("--threads", type=int, help="of the CPU; beside other work one is steadiest")
     parser.add_argument("-o", "--output", type=Path, help="picture to write")
     args = parser.parse_args()
     ratios = []
     frames = noisy_frames(args.width, args.height, args.scale if args.guides else None)
     shares = map(int, args.shares.split(","))
-    for share, found, whole in measure(frames, args.model, args.scale, args.runs, shares):
+    for share, found, whole in measure(frames, args.model, args.scale, args.runs, shares, args.threads):
         alone, toned = found["denoise_upscale"], sum(found.values())
         ratios.append((share, alone / whole["denoise_upscale"], toned / sum(whole.values())))
         _, ratio, toned_ratio = ratios[-1]

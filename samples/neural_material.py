@@ -1,6 +1,6 @@
 """A material in latent textures and a small decoder, beside its maps in block compression.
 
-python samples/neural_material.py [PICTURE] [--maps FILE.npy] [--steps 2000] [--size 256]
+python samples/neural_material.py [PICTURE] [--maps FILE.npy] [--steps 2000] [--size 256] [--wide]
 
 The maps are base colour 3, normal x and y, roughness; as codes 0..1 (h, w, 6), from --maps or made here: bricks with
 moss. Block compression takes 16 bits a texel: BC1 for colour, BC5 for normals, BC4 for roughness; or 7 with normals and
@@ -8,12 +8,18 @@ roughness at half the size. The neural material takes 8 or 16: latent textures o
 bilinearly by a network of 12-32-6 (GELU), stored in half precision. Latents learn with the quantisation in place
 (straight-through). The decoder runs by the fused kernels of postfx.neural. Prints PSNR and sizes, draws both. Needs
 torch and matplotlib.
+
+With --wide, other materials of 8 bits learn instead, from 16384 texels a step (`WIDE`): their decoders have two layers
+of 64, and may read four texels around a point, and its place among 8x8 texels. Quantisation is noise first, rounding
+for the last quarter, in whose last half latents stay as they are.
 """
 import argparse
+import math
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,8 +29,53 @@ from matplotlib.figure import Figure
 from postfx import Device
 from postfx.neural import Learner, Network
 
-LEVELS = {"neural, 8 bits": ((2, 7, 4), (4, 5, 3)), "neural, 16 bits": ((1, 2, 4), (2, 7, 4), (4, 3, 4))}
-"""Of the latent textures: texels along a side of one of theirs, channels, and bits of each."""
+
+class Level(NamedTuple):
+    """A latent texture.
+
+    Attributes:
+        step: texels along a side of one of its own.
+        channels, bits: how many there are, and bits of each.
+        around: whether four of its texels are read around a point, instead of their bilinear mean.
+    """
+
+    step: int
+    channels: int
+    bits: int
+    around: bool = False
+
+
+class Way(NamedTuple):
+    """How a material is stored: its latent textures, its decoder's layers, and whether that reads a texel's place."""
+
+    levels: tuple[Level, ...]
+    hidden: tuple[int, ...] = (32,)
+    placed: bool = False
+
+    @property
+    def inputs(self) -> int:
+        """Numbers that the decoder reads."""
+        read = sum(level.channels * (AROUND if level.around else 1) for level in self.levels)
+        return read + 2 * len(PERIODS) * self.placed * 2
+
+    def bits(self, network: Network, size: int) -> float:
+        """Bits a texel, the decoder in half precision."""
+        stored = sum(level.channels * level.bits / level.step**2 for level in self.levels)
+        return stored + 16 * network.count / size**2
+
+
+AROUND = 4
+PERIODS = (2, 4, 8)
+"""Texels of the waves that tell a texel's place."""
+SOME = 16384
+"""Texels of a step of wide decoders."""
+NARROW = {
+    "neural, 8 bits": Way((Level(2, 7, 4), Level(4, 5, 3))),
+    "neural, 16 bits": Way((Level(1, 2, 4), Level(2, 7, 4), Level(4, 3, 4)))}
+WIDE = {
+    "wide": Way((Level(2, 6, 4), Level(4, 2, 4)), (64, 64)),
+    "two grids": Way((Level(2, 7, 3, True), Level(4, 4, 3)), (64, 64), True),
+    "full grid": Way((Level(1, 1, 4, True), Level(2, 3, 2, True), Level(4, 2, 4)), (64, 64), True)}
 
 # Block compression: as the formats decode, encoded by least squares -------------------------------------------------
 
@@ -127,24 +178,58 @@ def bricks(size: int) -> np.ndarray:
 class Material(torch.nn.Module):
     """Latent textures, and the decoder in the order of `postfx.neural.Network`."""
 
-    def __init__(self, size: int, levels: tuple[tuple[int, int, int], ...], network: Network) -> None:
+    def __init__(self, size: int, way: Way, network: Network) -> None:
         super().__init__()
-        self.size, self.levels = size, levels
-        self.latents = torch.nn.ParameterList(0.5 + 0.1 * torch.randn(1, channels, size // step, size // step)
-                                              for step, channels, _ in levels)
+        self.size, self.way = size, way
+        sides = [(level.channels, size // level.step) for level in way.levels]
+        self.latents = torch.nn.ParameterList(0.5 + 0.1 * torch.randn(1, channels, side, side)
+                                              for channels, side in sides)
         self.layers = torch.nn.ModuleList(torch.nn.Linear(reads, makes) for makes, reads in network.shapes)
+        self.rounds = True
 
-    def texels(self) -> torch.Tensor:
-        """(size * size, 12): quantised, with the gradient of what is not, and read bilinearly."""
+    def texels(self, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        """What the decoder reads of some texels (n,): (n, inputs), quantised, with the gradient of what is not."""
         found = []
-        for latent, (_, _, bits) in zip(self.latents, self.levels, strict=True):
-            held = latent.clamp(0, 1)
-            coded = held + (torch.round(held * (2**bits - 1)) / (2**bits - 1) - held).detach()
-            found.append(F.interpolate(coded, size=(self.size, self.size), mode="bilinear", align_corners=False))
-        return torch.cat(found, 1)[0].flatten(1).T
+        for latent, level in zip(self.latents, self.way.levels, strict=True):
+            coded = self._coded(latent.clamp(0, 1), 2**level.bits - 1)[0]
+            found.append(self._read(coded, level, rows, columns))
+        if self.way.placed:
+            for period in PERIODS:
+                for place in (rows, columns):
+                    angle = 2 * math.pi * (place + 0.5) / period
+                    found += [torch.sin(angle)[:, None], torch.cos(angle)[:, None]]
+        return torch.cat(found, 1)
+
+    def _coded(self, held: torch.Tensor, most: int) -> torch.Tensor:
+        if not self.rounds:
+            return held + (torch.rand_like(held) - 0.5) / most
+        return held + (torch.round(held * most) / most - held).detach()
+
+    @staticmethod
+    def _read(coded: torch.Tensor, level: Level, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        """Four texels of a texture (channels, h, w) around texels of the material, or their bilinear mean."""
+        last = coded.shape[-1] - 1
+        axes = []
+        for places in (rows, columns):
+            at = ((places + 0.5) / level.step - 0.5).clamp(0, last)
+            low = at.floor().long()
+            axes.append((low, (low + 1).clamp(max=last), at - low))
+        (top, bottom, down), (left, right, along) = axes
+        corners = [coded[:, top, left], coded[:, top, right], coded[:, bottom, left], coded[:, bottom, right]]
+        if level.around:
+            return torch.cat(corners).T
+        shares = ((1 - down) * (1 - along), (1 - down) * along, down * (1 - along), down * along)
+        return sum(share * corner for share, corner in zip(shares, corners, strict=True)).T
+
+    def all_texels(self) -> torch.Tensor:
+        """What the decoder reads of each texel in turn."""
+        every = torch.arange(self.size**2)
+        return self.texels(every // self.size, every % self.size)
 
     def forward(self, texels: torch.Tensor) -> torch.Tensor:
-        return self.layers[1](F.gelu(self.layers[0](texels)))
+        for layer in self.layers[:-1]:
+            texels = F.gelu(layer(texels))
+        return self.layers[-1](texels)
 
     def parameters_of(self) -> np.ndarray:
         parts = [part.detach().half().float().numpy().ravel() for layer in self.layers for part in layer.parameters()]
@@ -163,31 +248,39 @@ parser.add_argument("--maps", type=Path, help="an array (h, w, 6) of codes 0..1,
 parser.add_argument("--size", type=int, default=256)
 parser.add_argument("--steps", type=int, default=2000)
 parser.add_argument("--threads", type=int, default=1)
+parser.add_argument("--wide", action="store_true", help="materials of 8 bits with wide decoders")
 chosen = parser.parse_args()
 torch.set_num_threads(chosen.threads)
 torch.manual_seed(0)
 
 maps = np.load(chosen.maps) if chosen.maps else bricks(chosen.size)
 size = maps.shape[0]
-network, wanted = Network(12, (32,), 6, "gelu"), torch.from_numpy(maps.reshape(-1, 6).astype(np.float32))
+wanted = torch.from_numpy(maps.reshape(-1, 6).astype(np.float32))
 device, rows = Device("cpu", threads=chosen.threads), []
 blocky, coarse = block_compressed(maps), halved(maps, block_compressed)
 rows.append(("blocks, 16 bits", blocky, 16.0))
 rows.append(("blocks, 7 bits", np.concatenate([blocky[..., :3], coarse[..., 3:]], -1), 7.0))
-for name, levels in LEVELS.items():
-    material, began = Material(size, levels, network), time.process_time()
+for name, way in (WIDE if chosen.wide else NARROW).items():
+    network = Network(way.inputs, way.hidden, 6, "gelu")
+    material, began = Material(size, way, network), time.process_time()
     optimizer = torch.optim.Adam([{"params": material.latents.parameters(), "lr": 2e-2},
                                   {"params": material.layers.parameters(), "lr": 5e-3}])
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, chosen.steps)
-    for _ in range(chosen.steps):
-        loss = F.mse_loss(material(material.texels()), wanted)
+    for step in range(chosen.steps):
+        if chosen.wide:
+            material.rounds = step >= 0.75 * chosen.steps
+            material.latents.requires_grad_(step < 0.875 * chosen.steps)
+            some = torch.randint(size**2, (SOME,))
+            loss = F.mse_loss(material(material.texels(some // size, some % size)), wanted[some])
+        else:
+            loss = F.mse_loss(material(material.all_texels()), wanted)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
     taken = time.process_time() - began
     decoder = Learner(device, network, parameters=material.parameters_of())
-    texels = device.wrap("texels", np.ascontiguousarray(material.texels().detach().numpy()))
+    texels = device.wrap("texels", np.ascontiguousarray(material.all_texels().detach().numpy()))
     values, times = device.heap.tensor("values", (size * size, 6)), []
     for _ in range(5):
         commands = device.command_buffer("decode")
@@ -196,8 +289,8 @@ for name, levels in LEVELS.items():
         commands.commit()
         commands.wait()
         times.append(sum(ms for _, ms in commands.timings))
-    bits = sum(channels * depth / step**2 for step, channels, depth in levels) + 16 * network.count / size**2
-    rows.append((name, np.clip(values.array.reshape(size, size, 6), 0, 1), bits))
+    found = np.clip(values.array.reshape(size, size, 6), 0, 1)
+    rows.append((name, found, way.bits(network, size)))
     print(f"{name}: {network.count} parameters learnt in {taken:.0f} s; {np.median(times):.2f} ms to decode")
 print(f"{'':16} {'bits':>6} {'colour':>7} {'normal':>7} {'rough':>7} {'all':>7}")
 for name, found, count in rows:

@@ -21,13 +21,20 @@ static bool doubles(const Places& columns, Long w) {
     return true;
 }
 
+// Whether the result's columns are the picture's own.
+static bool stays(const Places& columns, Long w) {
+    bool same = columns.size[0] == w;
+    for (Long x = 0; x < w && same; x++) same = columns.at[x] == float(x);
+    return same;
+}
+
 FN Long floor_to_whole(float x) { return Long(floor_of(x)); }
 
 struct Resampler {
     Picture image;
     Places rows, columns;
     Long h, w, channels, width, size;
-    bool twice;
+    bool twice, still;
     Room<float> room, weights;
     Room<int> index;
     float *value, *low, *high, *least, *most, *sides[2];
@@ -37,8 +44,8 @@ struct Resampler {
         : image(image), rows(rows), columns(columns), h(image.size[0]), w(image.size[1]),
           channels(image.size[2]), width(columns.size[0]),
           size((w + 2 * MARGIN) * channels + BEHIND), twice(doubles(columns, w)),
-          room((TAPS + 5) * size + 2 * (w * channels + BEHIND)), weights(TAPS * width),
-          index(width), numbers{-1, -1, -1, -1}, bounded{-1, -1} {
+          still(stays(columns, w)), room((TAPS + 5) * size + 2 * (w * channels + BEHIND)),
+          weights(TAPS * width), index(width), numbers{-1, -1, -1, -1}, bounded{-1, -1} {
         if (!*this) return;
         for (Long i = 0; i < (TAPS + 5) * size; i++) room.at[i] = 0.0f;
         value = room.at + TAPS * size;
@@ -183,7 +190,16 @@ struct Resampler {
             }
         }
     }
+    // A row that is one of the picture's own.
+    void copy(Long row, float* out) const {
+        const float* from = image(row);
+        across(0, w * channels, PIXELS(auto one, Long i) {
+            store<decltype(one)>(out + i, finite<decltype(one)>(load<decltype(one)>(from + i)));
+        });
+    }
     void put_row(Long y, float* out) {
+        const Long row = floor_to_whole(rows.at[y]);
+        if (still && rows.at[y] == float(row) && row >= 0 && row < h) return copy(row, out);
         sum(y);
         if (twice) put_twice(out);
         else put_anyhow(out);

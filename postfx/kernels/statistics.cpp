@@ -249,6 +249,25 @@ static Status positive_rows(Long first, Long last, Plane plane, Lengths side, Vi
 }
 EXPORT(mark_positive, positive_rows)
 
+// Sets cells of side x side pixels that are not 0 everywhere.
+static void lit_rows(Long first, Long last, View<const unsigned, 3> plane, Lengths side,
+                     View<bool, 2> cells) {
+    const Long h = plane.size[0], w = plane.size[1], channels = plane.size[2], block = *side.at;
+    for (Long j = first; j < last; j++) {
+        const Long end = smaller<Long>((j + 1) * block, h);
+        for (Long y = j * block; y < end; y++) {
+            for (Long x = 0; x < w; x += block) {
+                const unsigned* from = plane(y, x);
+                const Long width = smaller<Long>(block, w - x);
+                unsigned any = 0;
+                for (Long i = 0; i < width * channels; i++) any |= from[i];
+                if (any & 0x7FFFFFFF) cells(j)[x / block] = true;
+            }
+        }
+    }
+}
+EXPORT(mark_lit, lit_rows)
+
 // How many of every second row's pixels, but for the first and the last, are a hit where at least
 // three of four neighbours are misses, or the other way round.
 static void odd_rows(Long first, Long last, Plane depth, Places farthest, View<float, 1> odd) {

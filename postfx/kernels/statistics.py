@@ -100,6 +100,7 @@ _half_means = Rows("half_means")
 _pair_means = Rows("pair_means")
 _bounds_of_cells = Rows("bounds_of_cells")
 _mark_positive = Rows("mark_positive")
+_mark_lit = Rows("mark_lit")
 _coverage_noise = Rows("coverage_noise")
 
 
@@ -151,6 +152,15 @@ def mark_positive(plane: np.ndarray, side: int, cells: np.ndarray) -> None:
     """Set cells of side x side pixels in which a plane (h, w, 1) is positive anywhere."""
     rows = -(-len(plane) // side)
     _mark_positive(0, rows, whole(plane[..., 0], np.float32), np.array([side]), cells)
+
+
+def lit_cells(plane: np.ndarray, side: int) -> np.ndarray:
+    """The cells of side x side pixels of a plane (h, w, C) of float32 that are not 0 everywhere: (rows, columns) of
+    bool."""
+    cells = np.zeros([-(-length // side) for length in plane.shape[:2]], bool)
+    bits = whole(plane, np.float32).view(np.uint32)
+    share(_mark_lit, len(cells), bits, np.array([side]), cells)
+    return cells
 
 
 def coverage_noise(depth: np.ndarray, farthest: float) -> float:

@@ -119,6 +119,8 @@ def test_resampling_at_whole_positions_gives_the_samples_and_keeps_within_them()
     case = Case(7, 9, 7, 9)
     same = {"image": image, "rows": positions(7, 7), "columns": positions(9, 9)}
     np.testing.assert_array_equal(_resampled(same, case), image)
+    lost = {**same, "image": np.where(image > np.median(image), np.nan, image)}
+    np.testing.assert_array_equal(_resampled(lost, case), np.nan_to_num(lost["image"]))
     larger = {"image": image, "rows": positions(7, 20, 0.2), "columns": positions(9, 20, -0.3)}
     result = _resampled(larger, Case(7, 9, 20, 20))
     assert result.min() >= image.min() and result.max() <= image.max()

@@ -1,18 +1,27 @@
-"""Black frames: nothing runs for them, and they are what the network would make of them."""
+"""Black frames, and black parts of stills: no network runs there, and they are what it would make of them."""
+
+from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 
 from postfx import Device, Frame, Pipeline, Role
 from postfx.frame import FrameSpec
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.frame import ReadyNetwork
+from postfx.passes.denoise.models import reach_of
 from postfx.testing import make_frame
 
 ROLES = (Role.COLOUR, Role.DEPTH, Role.NORMAL, Role.MOTION, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS)
 BLACK = (1, 2, 4)
 """Frames without light: at the start, where no history is, and after a lit one."""
 ALL_BLACK = "all is black"
+BLACK_THERE = "all is black there"
+LIT = 24
+"""Pixels along a side of what is lit in a corner of a still."""
+WIDE, HIGH = 330, 300
+MODELS = Path(__file__).parent.parent.parent / "models"
 
 
 def frames(alpha: bool) -> list[Frame]:
@@ -65,3 +74,60 @@ def test_a_single_lit_pixel_or_alpha_alone_is_no_empty_frame(device: Device) -> 
     covered[0].planes[Role.ALPHA][20, 20] = 0.5
     assert ALL_BLACK not in run(device, lit, model="s")[1]
     assert ALL_BLACK not in run(device, covered, model="s")[1]
+
+
+def still(alpha: bool, lit: int = LIT, roles: tuple[Role, ...] = ROLES[:3] + ROLES[4:]) -> Frame:
+    """A frame without motion, lit in its last rows and first columns only."""
+    made = make_frame(FrameSpec(WIDE, HIGH, (*roles, Role.ALPHA) if alpha else roles))
+    for role in {Role.COLOUR, Role.ALPHA} & made.planes.keys():
+        made.planes[role][:HIGH - lit] = 0
+        made.planes[role][:, lit:] = 0
+    return made
+
+
+@pytest.mark.parametrize(("model", "scale", "alpha"), [
+    ("s", 2, False), ("s.fp32", 1, True), ("m", 2, True), ("m", 1.5, False), ("m.fp32", 1, False),
+    ("classic", 2, False)])
+def test_what_is_black_in_a_still_is_skipped_and_the_rest_keeps_its_bits(
+    device: Device, model: str, scale: float, alpha: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    skipped, why = run(device, [still(alpha)], model=model, scale=scale)
+    monkeypatch.setattr(ReadyNetwork, "lit_cells", lambda *_: None)
+    whole, none = run(device, [still(alpha)], model=model, scale=scale)
+    assert BLACK_THERE in why and BLACK_THERE not in none
+    for role in whole[0].planes:
+        np.testing.assert_array_equal(skipped[0][role], whole[0][role])
+    assert whole[0][Role.COLOUR].any()
+
+
+def test_black_parts_are_not_skipped_where_a_history_would_miss_them_or_little_is_black(device: Device) -> None:
+    for frame in (still(False, roles=ROLES), still(False, lit=HIGH)):
+        assert BLACK_THERE not in run(device, [frame], model="m")[1]
+
+
+def reach_in(path: Path) -> int:
+    """Input pixels that an output of a network sees to one side at most."""
+    graph = onnx.load(path).graph
+    seen = {one.name: (1, 0) for one in graph.input}  # input pixels of a step, and reach
+    for node in graph.node:
+        known = [seen[name] for name in node.input if name in seen]
+        step, reach = max(one[0] for one in known) if known else 1, max((one[1] for one in known), default=0)
+        facts = {fact.name: onnx.helper.get_attribute_value(fact) for fact in node.attribute}
+        side, stride = facts.get("kernel_shape", [1])[0], facts.get("strides", [1])[0]
+        if node.op_type == "Conv":
+            reach += step * (side // 2 + stride - 1)
+        elif node.op_type == "MaxPool":
+            reach += step * (side - 1)
+        elif node.op_type == "Resize":
+            reach, stride = reach + step, 0.5
+        for name in node.output:
+            seen[name] = int(step * stride), reach
+    return max(seen[one.name][1] for one in graph.output)
+
+
+@pytest.mark.parametrize("model", ["s", "s.1x", "m", "m.1x", "m.guides", "l"])
+def test_networks_see_no_farther_than_is_said(model: str) -> None:
+    name = f"denoise_upscale.{model}"
+    said = reach_of([name])
+    assert said / 3 < reach_in(MODELS / f"{name}.onnx") <= said
+    assert reach_of([name, "denoise_upscale.other"]) == 0

@@ -343,7 +343,10 @@ class DenoiseUpscale(Pass):
             savings.begin_empty()
             self._fresh = False
             return ready.encode_empty(frame)
-        band = None if cells is None else ready.frames.layout(cells)
+        lit = ready.lit_cells(frame) if cells is None else None
+        band = None if cells is None and lit is None else ready.frames.layout(lit if cells is None else cells)
+        if band and cells is None:
+            band = band.over(frame.spec.height)  # what is not lit is written, too
         gain = frame.exposure_factor / self._exposure if keep else 1.0
         self._widen(commands, frame, ready, keep)
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
@@ -354,7 +357,7 @@ class DenoiseUpscale(Pass):
         model = ready.models[self._used]
         ready.frames.use(model)
         still = keep and gain == 1 and self._is_still(frame)
-        savings.begin(1.0 if band is None else band.share, keep or repeats, still)
+        savings.begin(1.0 if band is None else band.share, keep or repeats, still, cells is None)
         savings.note_repeats(repeats)
         blanks = model in ready.blanking
         planes: Mapping[str, Tensor] = ready.planes.encode(commands, frame, blanks)
@@ -522,14 +525,15 @@ class Savings:
     """Counts frames by how much work they needed. For each frame, call `begin`, then `note_time`."""
 
     def __init__(self) -> None:
-        self._kinds = {"whole": Kind(), "tiles": Kind(), "nothing": Kind(), "empty": Kind()}
+        self._kinds = {name: Kind() for name in ("whole", "tiles", "lit", "nothing", "empty")}
         self._alone = self._still = self._resized = self._known = self._full = self._hazy = self._repeats = 0
         self._now = "whole"
         self._unfollowed: Counter[str] = Counter()
 
-    def begin(self, share: float, has_history: bool, is_still: bool) -> None:
-        """Begin a frame; the network processes this share of it."""
-        self._now = "whole" if share == 1 else "tiles" if share else "nothing"
+    def begin(self, share: float, has_history: bool, is_still: bool, lit: bool = False) -> None:
+        """Begin a frame; the network processes this share of it: `lit`: of what is not black, else of what has
+        strength."""
+        self._now = "whole" if share == 1 else "nothing" if not share else "lit" if lit else "tiles"
         kind = self._kinds[self._now]
         kind.frames += 1
         kind.share += share
@@ -571,11 +575,12 @@ class Savings:
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Work left out, each with the reason and the time saved."""
         found = []
-        tiles, nothing, empty = (self._kinds[name] for name in ("tiles", "nothing", "empty"))
-        if tiles.frames:
-            part = 100 * tiles.share / tiles.frames
-            found.append((f"network outside of {part:.0f} % of {_count(tiles.frames)}",
-                          f"strength is 0 there; {self._saved(tiles)}"))
+        nothing, empty = self._kinds["nothing"], self._kinds["empty"]
+        for kind, why in ((self._kinds["tiles"], "strength is 0 there"), (self._kinds["lit"], "all is black there")):
+            if kind.frames:
+                part = 100 * kind.share / kind.frames
+                found.append((f"network outside of {part:.0f} % of {_count(kind.frames)}",
+                              f"{why}; {self._saved(kind)}"))
         if nothing.frames:
             found.append((f"network for {_count(nothing.frames)}", f"strength is 0 everywhere; {self._saved(nothing)}"))
         if empty.frames:

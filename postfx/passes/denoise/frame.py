@@ -18,15 +18,25 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.colour import CONVERT_PRIMARIES
 from postfx.kernels.denoise import HIDDEN
 from postfx.kernels.denoise.output import ASSEMBLE
-from postfx.kernels.statistics import OUTSIDE, light_outside
+from postfx.kernels.statistics import OUTSIDE, light_outside, lit_cells
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise.graph import FRAME, Layer, WindowGraph, kernels_of, run_steps
 from postfx.passes.denoise.history import WHOLE, History, PartHistory, Reflections, can_follow
-from postfx.passes.denoise.models import CLASSIC, blanks_volumes, grid_of, halo_of, reads_mirrored, seamless
+from postfx.passes.denoise.models import (
+    CLASSIC,
+    blanks_volumes,
+    gives_picture,
+    grid_of,
+    halo_of,
+    reach_of,
+    reads_mirrored,
+    seamless,
+)
 from postfx.passes.denoise.options import ReactiveOption, Size
 from postfx.passes.denoise.parts import Layers
 from postfx.passes.denoise.planes import ExpectedError, Passthrough, Plain, Planes, Reactive, Restore, Strength
 from postfx.passes.denoise.tiling import (
+    CELL,
     FIXED,
     GAIN,
     GPU_FIXED,
@@ -42,6 +52,7 @@ from postfx.passes.denoise.tiling import (
     bands_within,
     can_serve,
     cost,
+    grown,
     rows_of,
     whole_sides,
     whole_steps,
@@ -96,6 +107,8 @@ class Assembly:
         is written, so that nothing is copied. Else None."""
         window, out, frame = band.tiles[0].window, band.tiles[0].window.out, self._frame
         rows, out_rows = (window.top, window.top + window.rows), (out.top, out.top + out.rows)
+        if band.top < rows[0] or band.own[1] > rows[1]:
+            return None
         exact = all(row * frame.height == at * frame.h for row, at in zip(rows, out_rows, strict=True))
         if len(band.tiles) > 1 or window.columns < frame.w or rows != kept or not exact:
             return None
@@ -367,6 +380,12 @@ def widen_history(history: Mapping[str, np.ndarray], parts: Sequence[Part]) -> d
     return found
 
 
+def _lit_part(plane: np.ndarray) -> float:
+    """The share of a plane's pixels that are not 0, by a few of them."""
+    some = plane[LOOKED_AT // 2::LOOKED_AT, LOOKED_AT // 2::LOOKED_AT].any(axis=2)
+    return float(some.mean()) if some.size else 1.0
+
+
 class Ready:
     """Pipeline states, tensors and argument tables for frames of one spec.
 
@@ -376,6 +395,13 @@ class Ready:
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size) -> None:
         self.passthrough = Passthrough(device, spec, output)
+
+
+LIGHT_REACH = 80
+"""Render pixels that the light of one can come to in the result: 62 by filters of five levels, 16 by the cells of the
+last one, 2 by enlarging."""
+LOOKED_AT = 16  # every so many pixels of a row and of a column tell how much of a picture is lit
+MOST_LIT = 0.75  # of these pixels
 
 
 class ReadyPlain(Ready):
@@ -434,11 +460,36 @@ class ReadyNetwork(Ready):
         self.wider = WiderPrimaries(device, parts)
         self.error = ExpectedError(device, spec, output) if error else None
         self._device, self._output, self._parts = device, output, parts
+        reach, halo = reach_of(models.values()), halo_of(models.values())
+        self._reach = reach and LIGHT_REACH + max(0, reach - halo)  # beside which windows have their halo
+
+    @cached_property
+    def _only_weighs(self) -> bool:
+        """Whether all that is made of a frame are weighed means of its pixels."""
+        return not (self._parts or self.error or any(map(gives_picture, self.models.values())))
+
+    def lit_cells(self, frame: ResidentFrame) -> np.ndarray | None:
+        """The squares of 4 pixels whose result the picture's light decides; None if that is not looked for, or they are
+        most of the picture. The filters, which weigh pixels, can give nothing but 0 to all others.
+
+        It is looked for where frames leave no history behind: there the rest has the same bits as the whole frame's.
+        """
+        alike = self._only_weighs and self._reach and Role.MOTION not in frame and not frame.is_away
+        colour = frame.host_planes.get(Role.COLOUR) if alike else None
+        if colour is None or _lit_part(colour) > MOST_LIT:
+            return None
+        planes = [colour]
+        if self.layers:
+            if Role.ALPHA not in frame.host_planes:
+                return None
+            planes.append(frame.host_planes[Role.ALPHA])
+        cells = np.logical_or.reduce([lit_cells(plane, CELL) for plane in planes])
+        return grown(cells, self._reach) if cells.any() else None
 
     def is_empty(self, frame: ResidentFrame) -> bool:
         """Whether the picture is black everywhere, alpha too if it is filtered. Without a history the filters, which
         weigh pixels, can then give nothing but 0."""
-        if self._parts or self.error or not frame.is_blank(Role.COLOUR):
+        if not self._only_weighs or not frame.is_blank(Role.COLOUR):
             return False
         return self.layers is None or frame.is_blank(Role.ALPHA)
 

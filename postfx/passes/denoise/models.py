@@ -171,7 +171,7 @@ def blanks_volumes(model: str) -> bool:
     return bool(_card(model).get("blanks_volumes", True))
 
 
-HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 56, "m": 44, "l": 48}, 104
+HALOS, GUIDED_HALO = {CLASSIC: 40, "s": 56, "m": 44, "l": 48}, 96
 """Render pixels that a network must see around active ones so that the result differs by less than 1e-3 from that of
 the whole frame: by model size, the largest for other models, and for models that read guides. docs/lab/denoiser.md
 lists the differences. A card's own "halo" comes before them."""
@@ -180,6 +180,25 @@ lists the differences. A card's own "halo" comes before them."""
 def halo_of(models: Iterable[str]) -> int:
     """The halo that is enough for all of these models."""
     return max(_halo_in_card(model) or _halo(model) for model in models)
+
+
+REACHES, GUIDED_REACH = {CLASSIC: 72, "s": 136, "m": 64, "l": 64}, 224
+"""Render pixels that a network sees around each at most, counted by its convolutions: nothing farther away changes a
+bit of what it gives."""
+
+
+def reach_of(models: Iterable[str]) -> int:
+    """How far the results of all of these models depend on pixels; 0 if that is not known."""
+    reaches = [_halo_in_card(model) or _reach(model) for model in models]
+    return max(reaches) if all(reaches) else 0
+
+
+def _reach(model: str) -> int:
+    if "/" in model or model.endswith(FILE):
+        return 0
+    if model.endswith(GUIDED):
+        return GUIDED_REACH
+    return REACHES.get(model if model == CLASSIC else model.split(".")[1], 0)
 
 
 def seamless(models: Iterable[str]) -> int:

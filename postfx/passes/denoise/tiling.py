@@ -203,6 +203,10 @@ class Band:
         """Its rows."""
         return self.top, self.top + self.rows
 
+    def over(self, rows: int) -> Band:
+        """The same tiles, for all rows of the frame."""
+        return Band(0, rows, self.tiles)
+
     @property
     def rows_held(self) -> Rows:
         """The rows of the frame that its windows hold, halo included."""
@@ -227,6 +231,15 @@ def active_cells(strength: np.ndarray) -> np.ndarray:
         halves = np.pad(mask, ((1, 1), (0, 0)))
         mask = np.logical_or.reduce([halves[i:len(mask) + i:2] for i in range(4)]).T
     return mask
+
+
+def grown(cells: np.ndarray, pixels: int) -> np.ndarray:
+    """Squares of 4 pixels that are active, or within so many pixels of one that is, along both sides."""
+    steps = -(-pixels // CELL)
+    for _ in range(2):
+        counts = np.pad(cells, ((steps + 1, steps), (0, 0))).cumsum(0, np.int32)
+        cells = (counts[2 * steps + 1:] > counts[:-2 * steps - 1]).T
+    return cells
 
 
 def whole_tiles(cells: np.ndarray) -> np.ndarray:
