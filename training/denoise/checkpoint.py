@@ -169,11 +169,16 @@ def unpack(path: Path) -> dict[str, Any]:
 
 # Mixtures -----------------------------------------------------------------------------------------------------------
 
-def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None) -> dict[str, Any]:
+BLEND_BIAS = PREFIX + "controls.bias"
+"""Of a picture network: its first value decides on the new picture's share beside the history, as a logit."""
+
+
+def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None, newer: float = 0.0) -> dict[str, Any]:
     """A checkpoint with the weighted mean of several weights; its notes are the first one's, and name the mixture.
 
     The first part is a checkpoint; others may be exported networks, also with fewer channels or levels. Of the mean,
-    the finest ``levels`` stay (None: all). Raises ValueError if shares do not add up to 1 or a network does not fit.
+    the finest ``levels`` stay (None: all). ``newer`` raises the share of a picture network's new picture beside the
+    history, in logits. Raises ValueError if shares do not add up to 1 or a network does not fit.
     """
     if abs(sum(share for _, share in parts) - 1) > 1e-6:
         raise ValueError(f"shares add up to {sum(share for _, share in parts):g}, not to 1")
@@ -197,6 +202,11 @@ def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None) -> dict[
     config = first["config"]
     if levels is not None:
         weights, config = keep_levels(weights, levels), {**config, "widths": config["widths"][:levels]}
+    if newer:
+        if BLEND_BIAS not in weights:
+            raise ValueError(f"{parts[0][0]}: no picture network, whose history alone can be weighed anew")
+        weights[BLEND_BIAS][0] += newer
+        told += f", new pictures {newer:+g} logits"
     return {"config": config, "weights": weights, "notes": {**first["notes"], **begun, "weights": told}}
 
 
@@ -211,8 +221,10 @@ def options() -> argparse.ArgumentParser:
     mixing.add_argument("parts", nargs="+", type=part, metavar="FILE:SHARE",
                         help="checkpoints or exported networks; shares add up to 1")
     mixing.add_argument("--levels", type=int, metavar="N", help="keep the N finest levels (default: all)")
+    mixing.add_argument("--newer", type=float, default=0.0, metavar="LOGITS",
+                        help="of a picture network: raise the new picture's share beside the history")
     mixing.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
-    mixing.set_defaults(make=lambda args: mix(args.parts, args.levels))
+    mixing.set_defaults(make=lambda args: mix(args.parts, args.levels, args.newer))
     return parser
 
 

@@ -53,4 +53,4 @@ CUDA_VISIBLE_DEVICES=0 "$python" -m training.denoise.train --clips "$work/views=
     --even 4 --clean 0.1 --reset 0.07 --light 0.5 0.5 --false-motion 0.1 --sparse-planes 0.1 --blend 0.5 \
     --wait 50 $(if [ -n "$checkpoint" ]; then echo --continue "$checkpoint"; else echo --start "$start"; fi) >"$work/logs/train.log" 2>&1
 wait
-"$python" -m training.denoise.checkpoint mix "$work/run/checkpoint.pt:0.4" "$start:0.6" -o "$work/l.1x.pt"
+"$python" -m training.denoise.checkpoint mix "$work/run/checkpoint.pt:0.4" "$start:0.6" --newer 0.75 -o "$work/l.1x.pt"

@@ -199,3 +199,6 @@ def test_a_mixture_with_published_weights_fades_what_was_added(tmp_path, denoise
     for name, share in (("correct.weight", 0.25), ("join.bias", 0.25), ("enc_conv1.weight", 0.25), ("judge.0.weight", 1),
                         ("branch.full.bias", 1)):
         torch.testing.assert_close(mixed[PREFIX + name], share * trained[PREFIX + name])
+    newer = mix([(tmp_path / "trained.pt", 1.0)], newer=0.5)["weights"][PREFIX + "controls.bias"]
+    changed = newer - trained[PREFIX + "controls.bias"]
+    assert changed[0] == pytest.approx(0.5) and not changed[1:].any()
