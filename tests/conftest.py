@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,9 @@ os.environ.setdefault("POSTFX_CONFIG", "")  # no defaults of this machine or use
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 LONGEST = (
-    "test_quality.py", "test_types.py", "training/datagen/test_clip.py", "doctor/test_breakages.py",
+    "test_types.py", "training/denoise/test_picture.py", "training/test_remake.py", "test_quality.py",
+    "kernels/test_library.py", "training/datagen/test_clip.py", "training/denoise/test_tune.py",
+    "doctor/test_breakages.py",
     "training/denoise/test_train_processes.py", "test_windows.py", "test_samples.py", "test_docs.py",
     "training/datagen/test_render.py",
     "training/datagen/scenes/test_interior.py", "training/measure/test_validation.py", "doctor/test_unbroken.py",
@@ -44,6 +47,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if item.get_closest_marker("soak"):
                 item.add_marker(pytest.mark.skip("long, or one more of its kind: give -m soak"))
+
+
+def pytest_collection_finish() -> None:
+    """Modules and tests stay until the end: what a test collects as garbage is looked for among later objects only."""
+    gc.collect()
+    gc.freeze()
+
+
+def pytest_sessionfinish() -> None:
+    gc.unfreeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
