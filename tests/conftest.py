@@ -5,6 +5,8 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Iterator
+from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -64,6 +66,16 @@ def no_pauses() -> Iterator[None]:
     """A frame that cannot be read is tried again at once: half a second for each would be minutes in all."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("postfx.files.PAUSES", (0.0, 0.0))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def models_parsed_once() -> Iterator[None]:
+    """What follows from the bytes of a model's file alone is found once: tests make the same networks ready anew."""
+    with pytest.MonkeyPatch.context() as patch:
+        for place in ("postfx.runtime.models.parse_model", "postfx.runtime.device.take_products"):
+            module, _, name = place.rpartition(".")
+            patch.setattr(place, lru_cache(16)(getattr(import_module(module), name)))
         yield
 
 
