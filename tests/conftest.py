@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
+from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -12,7 +15,9 @@ os.environ.setdefault("POSTFX_CONFIG", "")  # no defaults of this machine or use
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 LONGEST = (
-    "test_quality.py", "test_types.py", "training/datagen/test_clip.py", "doctor/test_breakages.py",
+    "test_types.py", "training/denoise/test_picture.py", "training/test_remake.py", "test_quality.py",
+    "kernels/test_library.py", "training/datagen/test_clip.py", "training/denoise/test_tune.py",
+    "doctor/test_breakages.py",
     "training/denoise/test_train_processes.py", "test_windows.py", "test_samples.py", "test_docs.py",
     "training/datagen/test_render.py",
     "training/datagen/scenes/test_interior.py", "training/measure/test_validation.py", "doctor/test_unbroken.py",
@@ -46,11 +51,31 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.skip("long, or one more of its kind: give -m soak"))
 
 
+def pytest_collection_finish() -> None:
+    """Modules and tests stay until the end: what a test collects as garbage is looked for among later objects only."""
+    gc.collect()
+    gc.freeze()
+
+
+def pytest_sessionfinish() -> None:
+    gc.unfreeze()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def no_pauses() -> Iterator[None]:
     """A frame that cannot be read is tried again at once: half a second for each would be minutes in all."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("postfx.files.PAUSES", (0.0, 0.0))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def models_parsed_once() -> Iterator[None]:
+    """What follows from the bytes of a model's file alone is found once: tests make the same networks ready anew."""
+    with pytest.MonkeyPatch.context() as patch:
+        for place in ("postfx.runtime.models.parse_model", "postfx.runtime.device.take_products"):
+            module, _, name = place.rpartition(".")
+            patch.setattr(place, lru_cache(16)(getattr(import_module(module), name)))
         yield
 
 

@@ -150,7 +150,8 @@ class WithoutThoseFor1x(Library):
         return tuple(name for name in super().names() if not name.endswith(UNSCALED))
 
 
-@pytest.mark.parametrize("tag", FOR_1X)
+@pytest.mark.parametrize("tag", [
+    pytest.param(tag, marks=[] if tag in ("m.fp32", "s.int8") else pytest.mark.soak) for tag in FOR_1X])
 def test_at_1x_a_network_for_it_is_not_worse_than_the_plain_one(tag, monkeypatch):
     found = room_at_1x(tag)
     monkeypatch.setattr(models, "Library", WithoutThoseFor1x)
@@ -206,8 +207,12 @@ def figures(folder: Path, name: str) -> Figures:
     return Figures(np.array(psnrs), Bar(*np.mean(rows, axis=0)))
 
 
+BY_ONE = [pytest.param(name, marks=[] if name == "garage" else pytest.mark.soak) for name in BARS]
+"""One of the sequences, and with -m soak the others."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", BARS)
+@pytest.mark.parametrize("name", BY_ONE)
 def test_better_and_steadier_than_the_best_baseline(shared_dir, name):
     found, bar = figures(shared_dir / "sequences" / name, "m").late, BARS[name]
     assert found.psnr >= bar.psnr + 0.5
@@ -216,7 +221,7 @@ def test_better_and_steadier_than_the_best_baseline(shared_dir, name):
     assert found.flicker < bar.flicker
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_better_in_the_mean_over_the_sequences(shared_dir):
     gains = [figures(shared_dir / "sequences" / name, "m").late.psnr - bar.psnr for name, bar in BARS.items()]
     assert np.mean(gains) >= 1.5
@@ -230,7 +235,7 @@ def test_history_never_harms_the_garage(shared_dir):
     assert (kept >= dropped).all(), (kept, dropped)
 
 
-@pytest.mark.parametrize("name", ["s-int8", "m"])
+@pytest.mark.parametrize("name", ["s-int8", pytest.param("m", marks=pytest.mark.soak)])
 def test_first_frames_gain_by_a_run_up_and_later_ones_hardly_lose(name):
     gains = psnrs(ROOM, f"{name}-run-up") - psnrs(ROOM, name)
     assert gains[0] >= 0.8, gains
@@ -238,8 +243,7 @@ def test_first_frames_gain_by_a_run_up_and_later_ones_hardly_lose(name):
     assert gains.min() >= -0.15, gains
 
 
-@pytest.mark.parametrize("name", [
-    pytest.param(name, marks=[] if name == "garage" else pytest.mark.soak) for name in BARS])
+@pytest.mark.parametrize("name", BY_ONE)
 def test_with_a_run_up_no_frame_is_worse_than_by_open_image_denoise(shared_dir, name):
     pytest.importorskip("pyoidn")
     folder, other = shared_dir / "sequences" / name, OTHERS[2]
@@ -249,7 +253,7 @@ def test_with_a_run_up_no_frame_is_worse_than_by_open_image_denoise(shared_dir, 
     assert (mine > theirs).all(), (mine, theirs)
 
 
-@pytest.mark.parametrize("name", ["s-int8", "m"])
+@pytest.mark.parametrize("name", ["s-int8", pytest.param("m", marks=pytest.mark.soak)])
 def test_both_ways_first_frames_gain_most_and_none_loses(name):
     gains = psnrs(ROOM, f"{name}-both-ways") - psnrs(ROOM, name)
     assert gains[:4].mean() >= 0.6, gains
@@ -265,7 +269,7 @@ def test_both_ways_better_in_the_mean_over_the_sequences(shared_dir):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", BARS)
+@pytest.mark.parametrize("name", BY_ONE)
 def test_small_network_is_not_far_behind(shared_dir, name):
     small, middle = (mean_of_late(psnrs(shared_dir / "sequences" / name, tag)) for tag in ("s", "m"))
     assert small >= middle - 0.7

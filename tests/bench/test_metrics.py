@@ -66,7 +66,7 @@ def test_summary_of_a_sequence():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["living_room", "garage"])
+@pytest.mark.parametrize("name", [pytest.param("living_room", marks=pytest.mark.soak), "garage"])
 def test_agrees_with_the_script(shared_dir, tmp_path, name):
     """Two frames of generic and of Cycles planes, the result a little wrong in a way that changes over time."""
     folder = shared_dir / "sequences" / name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import postfx
+from postfx.cli.main import main
 from postfx.frame import Frame, Role
 from postfx.io.writer import write_frame
 
@@ -50,7 +52,11 @@ def shell(folder: Path, line: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(["sh", "-c", line], cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
 
 
-MOST = [("run --json", stream) for stream in STREAMS] + [
+MORE = ("closed error", "both closed", "both full")
+"""Streams that a job beside `run --json` has, too."""
+MOST = [
+    pytest.param("run --json", stream, marks=pytest.mark.soak if stream in MORE else [])
+    for stream in STREAMS] + [
     (job, stream) for job in ("an error", "models") for stream in ("both closed", "both full")] + [
     ("run", "full error"), ("plan", "a reader that goes away"), ("verify", "full output"), ("help", "both full"),
     ("wrong words", "closed error")]
@@ -78,7 +84,7 @@ ESCAPE = "\x1b[31m\x1b]0;title\x07\x9b2J"
                                   "--model classic", "inspect {} --profile {}.toml", "verify {}", "exposure {}",
                                   "chunks {} -o out/ --size 1 --", "interpolate {} -o between/", "{}",
                                   "run {}x -o out/", "config", "bench {} -o b/", "models --{}", "run --{}"])
-def test_no_name_controls_the_terminal(tmp_path, verb):
+def test_no_name_controls_the_terminal(tmp_path, verb, monkeypatch, capfd):
     folder = tmp_path / f"a{ESCAPE}"
     folder.mkdir()
     for number in (1, 2):
@@ -86,11 +92,11 @@ def test_no_name_controls_the_terminal(tmp_path, verb):
         write_frame(folder / f"in{ESCAPE}.{number:04d}.exr", Frame(planes, metadata={"note": ESCAPE}))
     (tmp_path / "postfx.toml").write_text('[run]\npreset = "a\\u001b[31m"\n' if verb == "config" else "")
     words = [word.replace("{}", folder.name) for word in (verb if "{}" in verb else f"{verb} {{}}").split()]
-    environment = {**os.environ, "PYTHONPATH": str(Path(postfx.__file__).parents[1])}
-    environment.pop("POSTFX_CONFIG", None)
-    done = subprocess.run([sys.executable, "-m", "postfx", *words], cwd=tmp_path, env=environment, capture_output=True,
-                          timeout=120)
-    told = (done.stdout + done.stderr).decode()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("POSTFX_CONFIG", raising=False)
+    with contextlib.suppress(SystemExit):
+        main(words)
+    told = "".join(capfd.readouterr())
     assert told and not {letter for letter in told if not letter.isprintable()} - {"\n", "\t"}
     assert "Traceback" not in told
 

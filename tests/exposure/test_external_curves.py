@@ -161,7 +161,7 @@ class Outside(View):
         frame.exposure_factor = told
 
 
-@pytest.mark.parametrize("gain", (0.5, 2.0))
+@pytest.mark.parametrize("gain", [0.5, pytest.param(2.0, marks=pytest.mark.soak)])
 def test_a_gain_over_the_look_that_is_meant_is_a_mistake_and_without_one_a_remark(gain: float, device: Device) -> None:
     meant, made = [View(view="reinhard")], [Outside(view="reinhard", gain=gain)]
     report = debug(scene([1.5] * 2), meant, "smooth", chain=made, device=device)

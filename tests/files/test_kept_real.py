@@ -29,6 +29,9 @@ FILES = (
     "sequences/garage/noisy.0001.exr",
     "sequences/garage/interleaved.0001.exr",
 )
+MORE = ("exr/beachball/multipart.0002.exr", "exr/beachball/singlepart.0001.exr")
+"""Those that are large and of a kind that others are of."""
+EACH = [pytest.param(name, marks=pytest.mark.soak if name in MORE else []) for name in FILES]
 STRUCTURE = {"channels", "compression", "dataWindow", "displayWindow", "lineOrder", "chunkCount", "name", "type"}
 
 
@@ -45,7 +48,7 @@ def write_darker(source: Path, out: Path, scale: int) -> tuple[Path, Frame]:
     return write_frame(out, dataclasses.replace(frame, planes={Role.COLOUR: larger}), keep=True), frame
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", EACH)
 def test_every_untouched_channel_and_attribute_is_kept(shared_dir: Path, tmp_path: Path, name: str) -> None:
     source = there(shared_dir / name)
     out, frame = write_darker(source, tmp_path / "out.exr", 1)
@@ -67,7 +70,7 @@ def test_every_untouched_channel_and_attribute_is_kept(shared_dir: Path, tmp_pat
         assert changed <= STRUCTURE
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", EACH)
 def test_enlarged_files_can_be_read_and_have_one_size(shared_dir: Path, tmp_path: Path, name: str) -> None:
     source = there(shared_dir / name)
     out, frame = write_darker(source, tmp_path / "out.exr", 2)

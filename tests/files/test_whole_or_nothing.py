@@ -152,7 +152,8 @@ while True:
 """
 
 
-@pytest.mark.parametrize("moment", [0.02, 0.11, 0.23, 0.37])
+@pytest.mark.parametrize("moment", [
+    0.02, *(pytest.param(moment, marks=pytest.mark.soak) for moment in (0.11, 0.23)), 0.37])
 def test_a_killed_process_leaves_whole_files_only(tmp_path: Path, moment: float) -> None:
     source = write_frame(tmp_path / "in.exr", noise(700, 700))
     out = tmp_path / "out"

@@ -1,4 +1,5 @@
 """Coverage-guided fuzzing of one target: `python tests/fuzz/fuzz.py TARGET [SECONDS] [REPRODUCER] [-FLAG=VALUE...]`.
+Of several, `TARGET,TARGET...`, in turn; what each says is in TARGET.log, and exit codes are printed.
 
 Ends with an error when a target raises anything but PostfxError, computes for more than 10 seconds on one input, takes
 more than 2 GiB in all, opens a file outside of its folder, or ends the process; the input is written to the folder of
@@ -62,8 +63,8 @@ def limit(target: Callable[[bytes], None], fence: Fence) -> Callable[[bytes], No
 
 
 def make_home() -> Path:
-    """A folder for all that a run reads and writes, in memory if there is room: also the user's cache, where networks
-    of earlier runs would decide, and links to the compiled kernels in it, which only their sources do."""
+    """A folder for all that a run reads and writes, in memory if there is room: also a user's cache, where networks
+    of earlier runs would decide, with links to the compiled kernels of the user's, which only their sources do."""
     in_memory = os.path.isdir("/dev/shm") and shutil.disk_usage("/dev/shm").free > MOST_MB << 18
     home = Path(tempfile.mkdtemp(prefix="postfx-fuzz-", dir="/dev/shm" if in_memory else None))
     for folder in ("work", "corpus", "cache/postfx"):
@@ -72,23 +73,22 @@ def make_home() -> Path:
     (cache / "native").mkdir(mode=0o700, parents=True, exist_ok=True)
     for kernels in cache.glob("native*"):
         (home / "cache/postfx" / kernels.name).symlink_to(kernels.resolve())
-    os.environ |= {"TMPDIR": str(home), "XDG_CACHE_HOME": str(home / "cache")}
-    tempfile.tempdir = None
     return home
 
 
-def main(name: str, seconds: str, reproducers: list[str], flags: list[str], home: Path) -> None:
+def fuzz(name: str, seconds: str, reproducers: list[str], flags: list[str], home: Path) -> None:
     """Fuzz in a folder of its own; ends the process."""
     import atheris
 
+    from tests.fuzz import targets
+
     out = os.path.abspath(os.environ.get("POSTFX_FUZZ_OUT", "."))
     given = [os.path.abspath(path) for path in reproducers] or [str(home / "corpus")]
-    sys.path.insert(0, str(CHECKOUT))
+    os.environ |= {"TMPDIR": str(home), "XDG_CACHE_HOME": str(home / "cache")}
+    tempfile.tempdir = None
     os.chdir(home / "work")
     os.getpid = lambda: 1  # a number of its own would change what is tried from a seed
     with atheris.instrument_imports(include=WATCHED):
-        from tests.fuzz import targets
-
         targets.seeds(name, home / "corpus")
         target = targets.TARGETS[name]
         for seed in sorted((home / "corpus").iterdir()):  # imports what is left, and compiles: no input's time
@@ -101,12 +101,36 @@ def main(name: str, seconds: str, reproducers: list[str], flags: list[str], home
     atheris.Fuzz()
 
 
-if __name__ == "__main__":
-    options = [word for word in sys.argv[1:] if word.startswith("-")]
-    target_name, *others = [word for word in sys.argv[1:] if word not in options]
-    folder = make_home()
-    if child := os.fork():  # libFuzzer ends its process at once, and leaves its files
+def attempt(name: str, seconds: str, reproducers: list[str], flags: list[str], log: Path | None) -> int:
+    """Exit code of a process that fuzzes a target: libFuzzer ends its process at once, and leaves its files."""
+    home = make_home()
+    if child := os.fork():
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        shutil.rmtree(folder, ignore_errors=True)
-        sys.exit(code if code >= 0 else 128 - code)
-    main(target_name, *(others[:1] or [str(SECONDS)]), others[1:], options, folder)
+        shutil.rmtree(home, ignore_errors=True)
+        return code if code >= 0 else 128 - code
+    if log:
+        os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
+    fuzz(name, seconds, reproducers, flags, home)
+    return 1
+
+
+def main(words: list[str]) -> int:
+    """Fuzz what the command line names; exit code."""
+    import atheris
+
+    flags = [word for word in words if word.startswith("-")]
+    names, *others = [word for word in words if word not in flags]
+    sys.path.insert(0, str(CHECKOUT))
+    with atheris.instrument_imports(include=WATCHED):
+        from tests.fuzz import targets  # noqa: F401 - once for all targets
+    seconds, reproducers, codes = others[0] if others else str(SECONDS), others[1:], {}
+    for name in names.split(","):
+        log = Path(os.environ.get("POSTFX_FUZZ_OUT", "."), f"{name}.log") if "," in names else None
+        codes[name] = attempt(name, seconds, reproducers, flags, log)
+    if "," in names:
+        print(*(f"{name} {code}" for name, code in codes.items()), sep="\n")
+    return max(codes.values())
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

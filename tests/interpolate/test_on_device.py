@@ -96,7 +96,8 @@ def follow(device: Device, frames: list[Frame], t: float, previous: float) -> No
             assert_alike(found, wanted.between.frame(t, previous=previous))
 
 
-@pytest.mark.parametrize("size", [(90, 131), (64, 65), (33, 40)])
+@pytest.mark.parametrize("size", [
+    (90, 131), pytest.param((64, 65), marks=pytest.mark.soak), (33, 40)])
 def test_the_same_frames_as_on_the_cpu(emulated: Device, size: tuple[int, int]) -> None:
     """Of what turns, so that paths bend, behind something that hides it; odd sizes, and pixels as cells."""
     follow(emulated, [turning(size, 0.15, number) for number in range(1, 4)], 0.3, -0.2)

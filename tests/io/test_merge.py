@@ -229,7 +229,12 @@ NAMES = ["beachball/multipart.0001.exr", "beachball/singlepart.0001.exr", "crow/
          "gaffer/weirdPartNames.exr", "oiio/grid-overscan.exr", "openexr/Adjuster.exr", "openexr/BrightRingsNanInf.exr"]
 
 
-@pytest.mark.parametrize("name", NAMES)
+MORE = ("beachball/singlepart.0001.exr", "crow/crow_zip_half.exr")
+"""Those that are large and of a kind that others are of."""
+
+
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=pytest.mark.soak if name in MORE else []) for name in NAMES])
 def test_files_of_others_merged_with_themselves_stay_as_they_are(shared_dir: Path, tmp_path: Path, name: str):
     path = shared_dir / "exr" / name
     merged = merge_renders([path, path], tmp_path / "out.exr", [4, 12])

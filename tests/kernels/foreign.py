@@ -10,11 +10,14 @@ import struct
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from postfx.kernels import build
+from tests.made_once import copy_made_once
 
 EMULATOR = shutil.which("qemu-aarch64-static") or shutil.which("qemu-aarch64")
 TARGET = "aarch64-linux-musl"
@@ -56,13 +59,18 @@ int main() {
 
 
 def make_program(names: Sequence[str], folder: Path) -> Path:
-    """A program of these kernels."""
+    """A program of these kernels, compiled once for all runs from the same sources."""
+    sources = [*build.our_units(), *build.HERE.rglob("*.h"), Path(__file__)]
+    copy_made_once("foreign", sources, f"{names} {version('ziglang')}", partial(_make, names), folder)
+    return folder / "program"
+
+
+def _make(names: Sequence[str], folder: Path) -> None:
     declared = "".join(f'extern "C" int {name}(const Word*, void*);\n' for name in names)
     (folder / "program.cpp").write_text(PROGRAM.replace("@DECLARED@", declared).replace("@NAMES@", ", ".join(names)))
     flags = [*build.FLAGS, "-nostdlib++", "-static", "-target", TARGET]
     subprocess.run([sys.executable, "-m", "ziglang", "c++", *flags, "-o",
                     folder / "program", folder / "program.cpp", *build.our_units()], check=True)
-    return folder / "program"
 
 
 def run(program: Path, kernel: int, rows: int, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -24,11 +24,12 @@ from postfx.runtime.cuda import PIXELS
 from postfx.system import private_folder
 
 COMPILER = shutil.which("g++")
-OPTIONS = ("-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas")
+OPTIONS = ("-O1", "-std=c++17", "-shared", "-fPIC", "-Wno-unknown-pragmas", "-U_FORTIFY_SOURCE")
 KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(([^)]*)\)')
 SHIM = """
 #include <algorithm>
 #include <cmath>
+#include <csetjmp>
 #include <cstdlib>
 #include <cstring>
 #include <ucontext.h>
@@ -44,10 +45,11 @@ using std::abs;
 struct Index { int x, y, z; };
 static Index blockIdx, threadIdx, blockDim = {1, 1, 1}, gridDim = {1, 1, 1};
 
-// Threads of a block as contexts that the scheduler resumes one after the other.
-static ucontext_t scheduler, contexts[1024];
+// Threads of a block, each on a stack of its own, that the scheduler resumes one after the other. They live on for the
+// next block. A jump takes no call of the system, as swapcontext does.
+static jmp_buf scheduler, places[1024];
 static char stacks[1024][1 << 16];
-static bool ended[1024];
+static bool begun[1024], ended[1024];
 static int alive, arrived, turn, at_meeting[32][32], meetings[32][32];
 static void (*body)();
 
@@ -57,15 +59,30 @@ static void become(int own) { threadIdx.x = own % blockDim.x, threadIdx.y = own 
 
 static void give_way() {
     const int own = own_number();
-    swapcontext(&contexts[own], &scheduler);
+    if (!_setjmp(places[own])) _longjmp(scheduler, 1);
     become(own);
 }
 
 static void begin() {
-    const int own = own_number();
-    body();
-    ended[own] = true;
-    if (--alive && arrived == alive) arrived = 0, turn++;
+    for (;;) {
+        body();
+        ended[own_number()] = true;
+        if (--alive && arrived == alive) arrived = 0, turn++;
+        give_way();
+    }
+}
+
+static void __attribute__((noinline)) resume(int thread) {
+    if (_setjmp(scheduler)) return;
+    become(thread);
+    if (begun[thread]) _longjmp(places[thread], 1);
+    begun[thread] = true;
+    ucontext_t context;
+    getcontext(&context);
+    context.uc_stack.ss_sp = stacks[thread], context.uc_stack.ss_size = sizeof stacks[thread];
+    context.uc_link = nullptr;
+    makecontext(&context, begin, 0);
+    setcontext(&context);
 }
 
 static void __syncthreads() {
@@ -77,17 +94,10 @@ static void __syncthreads() {
 
 static void run_block(int threads) {
     alive = threads, arrived = 0;
-    for (int k = 0; k < threads; k++) {
-        ended[k] = false;
-        getcontext(&contexts[k]);
-        contexts[k].uc_stack.ss_sp = stacks[k], contexts[k].uc_stack.ss_size = sizeof stacks[k];
-        contexts[k].uc_link = &scheduler;
-        makecontext(&contexts[k], begin, 0);
-    }
+    for (int k = 0; k < threads; k++) ended[k] = false;
     while (alive) {
         for (int k = 0; k < threads; k++) {
-            become(k);
-            if (!ended[k]) swapcontext(&scheduler, &contexts[k]);
+            if (!ended[k]) resume(k);
         }
     }
     become(0);

@@ -148,11 +148,12 @@ def test_a_checkout_compiles_only_what_is_used(plug_in: Path, monkeypatch: pytes
 
 @needs_compiler
 @pytest.mark.skipif(foreign.EMULATOR is None, reason="needs qemu-aarch64")
-def test_arm64_gives_the_same_bits_too(tmp_path: Path) -> None:
+@pytest.mark.parametrize("most", [2, pytest.param(6, marks=pytest.mark.soak)])
+def test_arm64_gives_the_same_bits_too(tmp_path: Path, most: int) -> None:
     """An emulator runs the kernels compiled for it."""
     program = foreign.make_program([kernel.rows.name for kernel in IN_CPP], tmp_path)
     for number, kernel in enumerate(IN_CPP):
-        for case, inputs in inputs_of(kernel, most=6):
+        for case, inputs in inputs_of(kernel, most=most):
             wanted = at_level(kernel, FUSED[-1], inputs, case)
             written = [np.zeros_like(one) for one in wanted]
             name, axis = kernel.row_axis
@@ -191,16 +192,23 @@ def planes_of(kernel: Kernel, inputs: dict[str, np.ndarray]) -> list[str]:
             if array.dtype in (np.float32, np.float16) and array.size >= 1000 and name not in ("moved", "keep")]
 
 
+BAD = (np.nan, np.inf, -np.inf)
+
+
 @pytest.mark.parametrize("kernel", IN_CPP, ids=lambda kernel: kernel.name)
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(kernel: Kernel, value: float) -> None:
+@pytest.mark.parametrize("values", [
+    pytest.param(BAD, id="all three"),
+    *(pytest.param((value,) * 3, marks=pytest.mark.soak, id=str(value)) for value in BAD)])
+def test_nan_and_infinity_go_into_what_is_made_of_them_and_into_nothing_else(
+    kernel: Kernel, values: tuple[float, ...]
+) -> None:
     """In every form: at the same places, while all other pixels keep their bits."""
     case, inputs = next(inputs_of(kernel))
     clean = forms(kernel, inputs, case)
     for binding in planes_of(kernel, inputs):
         broken = {name: array.copy() for name, array in inputs.items()}
         flat = broken[binding].reshape(-1)
-        flat[np.random.default_rng(1).integers(0, flat.size, 3)] = value
+        flat[np.random.default_rng(1).integers(0, flat.size, len(values))] = values
         found = forms(kernel, broken, case)
         for name in kernel.writes:
             wanted = found[FUSED[0]][name]

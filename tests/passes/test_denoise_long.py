@@ -12,7 +12,7 @@ from postfx.frame import Frame
 from postfx.runtime import Device
 from tests.stress.scenes import display_psnr
 
-WIDTH, HEIGHT, SPEED = 320, 180, 0.37
+WIDTH, HEIGHT, SPEED = 240, 136, 0.37
 SURFACES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL)
 
 

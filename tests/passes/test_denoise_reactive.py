@@ -96,7 +96,7 @@ def test_between_mixes(device: Device) -> None:
     assert from_first[1] < 0.15 and from_last[-2] < 0.15
 
 
-@pytest.mark.parametrize("model", ["s", "m"])
+@pytest.mark.parametrize("model", ["s", pytest.param("m", marks=pytest.mark.soak)])
 def test_particles_leave_a_third_of_their_ghosts_at_most(model: str, sequence: list[Shot], device: Device) -> None:
     """With a mask as a plane, and with one of the difference."""
     ghosts = ghost_energy(run([shot.frame for shot in sequence], device, model=model), sequence)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -50,6 +51,7 @@ def places(width: int, height: int, jitter: np.ndarray) -> tuple[np.ndarray, np.
     return tuple(np.meshgrid(columns / width, rows / width))
 
 
+@cache
 def panned(number: int, size: tuple[int, int]) -> Frame:
     """A frame of the picture: point samples, as noisy as of two light paths a pixel."""
     jitter = jitter_sequence(16)[number]
@@ -62,6 +64,7 @@ def panned(number: int, size: tuple[int, int]) -> Frame:
     return Frame(planes, number, tuple(jitter))
 
 
+@cache
 def truth(number: int) -> np.ndarray:
     """The picture at output size, averaged over its pixels."""
     offsets = (np.mgrid[0:4, 0:4].reshape(2, -1).T + 0.5) / 4 - 0.5

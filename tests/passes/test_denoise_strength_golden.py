@@ -100,7 +100,7 @@ def test_between_is_a_linear_blend(scale: float, with_guides: bool, device: Devi
     np.testing.assert_array_equal(full, run(frame, device, scale))
 
 
-@pytest.mark.parametrize("scale", [1.5, 2])
+@pytest.mark.parametrize("scale", [1.5, pytest.param(2, marks=pytest.mark.soak)])
 def test_windows_and_tiles_blend_alike(scale: float) -> None:
     """A strip is denoised in a window, the ramp all over; in a budget both in tiles."""
     size = (320, 330)

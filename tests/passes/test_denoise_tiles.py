@@ -203,7 +203,9 @@ def test_the_halo_is_enough_for_the_light_of_a_window(model: str, device: Device
         assert error[full(mask)].max() < 5e-4
 
 
-@pytest.mark.parametrize(("scale", "with_guides"), [(1.5, False), (1.3, False), (3, True), (2, True)])
+@pytest.mark.parametrize(("scale", "with_guides"), [
+    pytest.param(1.5, False, marks=pytest.mark.soak), (1.3, False), (3, True),
+    pytest.param(2, True, marks=pytest.mark.soak)])
 def test_tiles_at_other_scales_and_with_guides(scale: float, with_guides: bool, device: Device) -> None:
     """1.3 times the size, where no two tiles have output pixels at the same places."""
     size = (149, 213 + 300 * with_guides)

@@ -59,6 +59,7 @@ class Tab:
     def __init__(self, commands: Any, answers: Any) -> None:
         self._commands, self._answers = commands, answers
         self._count, self._session = 0, None
+        self._read = bytearray()
         self.problems: list[str] = []
         self.requests: list[str] = []
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
@@ -113,11 +114,14 @@ class Tab:
         return answer["result"]
 
     def _next(self) -> dict[str, Any]:
-        letters = bytearray()
-        while (letter := self._answers.read(1)) not in (b"\0", b""):
-            letters += letter
-        assert letters, "the browser ended"
-        return json.loads(letters)
+        begin = 0
+        while (end := self._read.find(b"\0", begin)) < 0:
+            begin = len(self._read)
+            self._read += (more := self._answers.read1())
+            assert more, "the browser ended"
+        message = json.loads(self._read[:end])
+        del self._read[:end + 1]
+        return message
 
     def _note(self, event: dict[str, Any]) -> None:
         method, facts = event.get("method"), event.get("params", {})

@@ -1,10 +1,13 @@
 """The page of a run on the sample: it needs nothing beside it, and what can be moved in it changes the picture."""
 
+import base64
 import re
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 pytest.importorskip("flip_evaluator")
 pytest.importorskip("skimage")
@@ -48,13 +51,13 @@ def as_opened(request):
 
 def seen(tab):
     """The canvas as it is drawn, (height, width, 3) uint8."""
-    width, height, values = tab.value("""viewer.draw().then(() => {
+    content = tab.value("""viewer.draw().then(() => {
         const { width, height } = viewer.picture, copy = document.createElement("canvas");
         Object.assign(copy, { width, height });
-        const context = copy.getContext("2d", { willReadFrequently: true });
-        context.drawImage(viewer.picture, 0, 0);
-        return [width, height, Array.from(context.getImageData(0, 0, width, height).data)]; })""")
-    return np.uint8(values).reshape(height, width, 4)[..., :3]
+        copy.getContext("2d", { willReadFrequently: true }).drawImage(viewer.picture, 0, 0);
+        return copy.toDataURL("image/png").split(",")[1]; })""")
+    with Image.open(BytesIO(base64.b64decode(content))) as picture:
+        return np.asarray(picture.convert("RGB"))
 
 
 def noise(pixels):

@@ -57,8 +57,9 @@ def assert_steady(model: str, device: Device, speed: int, noise: float, count: i
 
 
 @on(cpu=("s.fp32",))
-@SPEEDS
-@NOISES
+@pytest.mark.parametrize(("speed", "noise"), [
+    pytest.param(speed, noise, id=f"{'moving' if speed else 'still'}-{'noisy' if noise else 'clean'}",
+                 marks=pytest.mark.soak if speed != noise else []) for speed in (0, 1) for noise in BIAS])
 def test_192_frames(model: str, speed: int, noise: float, device: Device) -> None:
     assert_steady(model, device, speed, noise, 4)
 

@@ -35,6 +35,8 @@ GPU_BOUNDS = {"fp32": (5e-3, 4e-3), "fp16": (5e-3, 4e-3), "tone": (5e-4, 2e-4)}
 features; LOUDER times as much on others, which make logits large."""
 LOUDER = 4
 DENOISERS = sorted(path.stem for path in models_dir().glob("denoise_upscale.*.onnx"))
+SOME = tuple(f"denoise_upscale.{tag}" for tag in ("s", "m.guides", "l", "m.fp16.guides", "s.int8", "m.int8.guides"))
+"""Those of each precision, small and large, with guides and without; -m soak runs all."""
 TONE_MAPPERS = ("tonemap.auto", "tonemap.local")
 SIZE = (16, 32)
 NARROW = {TensorProto.FLOAT, TensorProto.FLOAT16}
@@ -108,7 +110,9 @@ def kind(name: str) -> str:
     return "tone" if name in TONE_MAPPERS else next((end for end in ("fp16", "int8") if end in name), "fp32")
 
 
-@pytest.mark.parametrize("name", [*DENOISERS, *TONE_MAPPERS])
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=[] if name in (*SOME, *TONE_MAPPERS) else pytest.mark.soak)
+    for name in (*DENOISERS, *TONE_MAPPERS)])
 def test_error_of_networks(name: str) -> None:
     check(name, {values: WIDER.get((name, values), BOUNDS[kind(name)]) for values in VALUES}, "CPUExecutionProvider")
 

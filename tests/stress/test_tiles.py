@@ -33,7 +33,9 @@ def shown(colour: np.ndarray) -> np.ndarray:
 
 
 @on(cpu=("s.fp32", "s.int8", "m.fp32", "m.int8"), gpu=("s.fp32", "s.fp16", "m.fp32", "m.fp16"))
-@pytest.mark.parametrize("place", PIXELS)
+@pytest.mark.parametrize("place", [
+    pytest.param(place, marks=[] if place in ("in the middle", "last") else pytest.mark.soak)
+    for place in PIXELS])
 def test_a_mask_of_one_pixel(place: str, model: str, device: Device) -> None:
     """It is as in the whole frame."""
     mask = np.zeros((*SIZE, 1))

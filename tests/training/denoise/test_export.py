@@ -168,9 +168,20 @@ def test_summary_says_what_a_network_is_for(checkpoint: dict) -> None:
         "1x to 3x", "for 1x", "1x to 3x, guides at output size"]
 
 
+RUN = {"step": 7, "seconds": 1.0, "seed": 0, "commit": "none", "arguments": {}}
+
+
+def test_a_packed_state_is_the_same_network(checkpoint: dict) -> None:
+    packed = pack(checkpoint | RUN | {"live": checkpoint["weights"]})
+    trunk, wanted = (denoise_export.load_trunk(each) for each in (packed, checkpoint))
+    assert type(trunk) is type(wanted) and trunk.config == wanted.config
+    for (name, weight), (other, expected) in zip(trunk.state_dict().items(), wanted.state_dict().items(), strict=True):
+        assert name == other and torch.equal(weight, expected), name
+
+
+@pytest.mark.soak
 def test_a_packed_state_is_exported_alike(checkpoint: dict, folder: Path, name: str) -> None:
-    run = {"live": checkpoint["weights"], "step": 7, "seconds": 1.0, "seed": 0, "commit": "none", "arguments": {}}
-    packed = pack(checkpoint | run)
+    packed = pack(checkpoint | RUN | {"live": checkpoint["weights"]})
     path = folder / "packed.onnx"
     denoise_export.export_trunk(denoise_export.load_trunk(packed), path)
     assert path.read_bytes() == (folder / f"{name}.onnx").read_bytes()

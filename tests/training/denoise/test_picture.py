@@ -48,9 +48,11 @@ def models(denoiser, tmp_path_factory):
     """A folder with the network as `p`, exported for the render size."""
     folder = tmp_path_factory.mktemp("models")
     checkpoint = {"config": SMALL.as_dict(), "weights": denoiser.state_dict(), "notes": {}}
-    for name in ("denoise_upscale.p", "denoise_upscale.p.1x"):
+    first = folder / "denoise_upscale.p.onnx"
+    error = export_trunk(load_trunk(checkpoint), first)
+    for name in (first.stem, f"{first.stem}.1x"):
         path = folder / f"{name}.onnx"
-        error = export_trunk(load_trunk(checkpoint), path)
+        path.write_bytes(first.read_bytes())
         path.with_suffix(".json").write_text(json.dumps(card(checkpoint, name.split(".", 1)[1], error, {})))
     return folder
 

@@ -34,7 +34,7 @@ def run_tune(monkeypatch, capsys, *words: str) -> tuple[int, dict]:
     return code, json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("target", ["--references", "--halves"])
+@pytest.mark.parametrize("target", [pytest.param("--references", marks=pytest.mark.soak), "--halves"])
 def test_a_gain_is_written_as_a_network_that_runs(tmp_path: Path, monkeypatch, capsys, target: str):
     shot = write_shot(tmp_path, "noisy", 0.3, 1)
     other = write_shot(tmp_path, "other", 0.3 if target == "--halves" else 0.0, 2)
