@@ -198,9 +198,10 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     total = sum((pixels[part.name][::_STEP] for part in named), np.zeros_like(picture[::_STEP]))
     excess, light = np.maximum(total - picture[::_STEP], 0), np.abs(picture[::_STEP])
     valid = np.isfinite(excess) & np.isfinite(light)
-    below = [part.name for part in parts if part.is_light and part.name in pixels and _is_below(pixels[part.name])]
-    notes = [f"parts {', '.join(below)} have light below 0, which is cut to 0: add it to another layer, or leave them out "
-             "of --aov"] if below else []
+    lights = [part.name for part in parts if part.is_light and part.name in pixels]
+    below = [name for name in lights if _is_below(pixels[name])]
+    notes = [f"parts {', '.join(below)} have light below 0, which is cut to 0: add it to another layer, or leave them "
+             "out of --aov"] if below else []
     if not named or excess[valid].sum(dtype=np.float64) <= NEAR * light[valid].sum(dtype=np.float64):
         return parts, notes
     sets = find_sets(picture, {part.name: pixels[part.name] for part in named})

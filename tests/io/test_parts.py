@@ -251,8 +251,8 @@ def test_a_part_brighter_than_the_picture_and_light_below_0_are_told(two_splits)
     assert note == "parts glow do not add up to the picture with others: each is filtered on its own"
     darkened = {"key": picture + 0.1, "dark": np.full_like(picture, -0.1)}
     parts = (Part("key", "light", "named"), dark)
-    assert group_parts(parts, picture, darkened) == (
-        parts, ["parts dark have light below 0, which is cut to 0: add it to another layer, or leave them out of --aov"])
+    note = "parts dark have light below 0, which is cut to 0: add it to another layer, or leave them out of --aov"
+    assert group_parts(parts, picture, darkened) == (parts, [note])
 
 
 def test_some_parts_of_the_picture_stay_one_group_in_silence(two_splits):
