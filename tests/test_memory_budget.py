@@ -10,8 +10,11 @@ import pytest
 
 from postfx import Device, Frame, Pipeline, Role
 from postfx.errors import MemoryBudgetError
+from postfx.frame import ROLES
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.models import seamless
+from postfx.passes.denoise.options import Size
+from postfx.passes.denoise.planes import ABSENT, absent_plane
 from postfx.passes.denoise.tiling import Sizes, bands_within
 from postfx.passes.tonemap import ToneMap
 from postfx.runtime import DeviceError, device
@@ -61,6 +64,18 @@ def test_tensors_beyond_the_budget_take_no_memory() -> None:
     place.memory.relax()
     assert resident() - before < 32 << 20
     assert [int(tensor.array[-1]) for tensor in tensors] == list(range(6))
+
+
+def test_planes_that_a_frame_lacks_take_no_memory() -> None:
+    """A picture of 15360x8640 without planes took 7 GiB for them, whatever the budget."""
+    place, size = Device("cpu", memory="256M"), Size(2048, 4096)
+    before = resident()
+    planes = {role: absent_plane(place, role, size) for role in (*ABSENT, *ABSENT)}
+    place.memory.relax()
+    assert resident() - before < 32 << 20
+    for role, plane in planes.items():
+        assert plane.shape == (*size, ROLES[role].channels)
+        np.testing.assert_array_equal(plane.array[::500, -1], np.float32(ABSENT[role]) + 0 * plane.array[::500, -1])
 
 
 def test_a_budget_is_for_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -553,7 +553,7 @@ class Job:
             return ()
         with self.sequence.open(self.first) as files:
             parts = tuple(found.part for found in files.parts.values())
-            if sum(part.is_light for part in parts) < 2:
+            if not any(part.is_light for part in parts):
                 return parts
             frame = files.read(self.first, [Role.COLOUR], [])
         grouped, notes = group_parts(parts, frame[Role.COLOUR], frame.parts)

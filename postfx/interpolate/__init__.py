@@ -48,7 +48,7 @@ from postfx.interpolate.flow import (
 from postfx.interpolate.light import change_of_light, lit_at
 from postfx.interpolate.lost import motion_of_lost
 from postfx.interpolate.timing import Sparks, camera_between, find_sparks, follow_light, keep_sparks, settle_sparks
-from postfx.kernels.statistics import is_finite, is_same_plane
+from postfx.kernels.statistics import is_same_plane, largest_bits_of
 from postfx.sampling import bilinear, is_inside
 from postfx.system import at_once, begin
 from postfx.temporal.reverse_motion import invert_motion
@@ -68,6 +68,8 @@ LOOKED_AT = 100
 """Rows or columns of the shorter side in which the misfit is measured."""
 MOST_APART, LEAST_INSIDE = 0.1, 0.25
 """Difference of toned light up to which a pixel counts, and the share of pixels that must lead into the picture."""
+MOST_LIGHT = np.float32(1e18)
+"""Light that is counted at most: sums of its squares are finite."""
 LONGEST = 64
 """Pixels by which an overlay that was found in the picture is grown, at most."""
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -565,6 +567,8 @@ def _without_lost(motion: np.ndarray, longest: np.float32) -> np.ndarray:
 
 
 def _finite(plane: np.ndarray) -> np.ndarray:
-    """The plane with 0 for what is not finite; itself if everything is and it lies in one piece."""
+    """The plane with 0 for what is not finite, within MOST_LIGHT; itself if all of it is and it lies in one piece."""
     plane = np.ascontiguousarray(plane)
-    return plane if is_finite(plane) else np.nan_to_num(plane, nan=0, posinf=0, neginf=0)
+    if largest_bits_of(plane) <= MOST_LIGHT.view(np.uint32):
+        return plane
+    return np.nan_to_num(plane, nan=0, posinf=0, neginf=0).clip(-MOST_LIGHT, MOST_LIGHT)

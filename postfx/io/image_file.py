@@ -122,6 +122,14 @@ class ImageFile:
         `channels` maps each wanted name to the value for pixels outside the data window. ReadError when the file ends
         early or its pixels cannot be decoded.
         """
+        kinds = {name: part.formats[part.channels.index(name)] for name in channels}
+        if "uint" in kinds.values():
+            rest = {name: fill for name, fill in channels.items() if kinds[name] != "uint"}
+            planes = self.read(part, rest, rows) if rest else {}
+            part = part if rows is None else some_rows(part, *rows)
+            return {name: planes[name] if name in planes else
+                    to_area(self._read_counts(part, name).astype(np.float32), part, fill)
+                    for name, fill in channels.items()}
         part = part if rows is None else some_rows(part, *rows)
         planes = {name: np.empty((part.data.height, part.data.width), np.float32) for name in channels}
         if not self._read_plain(part, [([name], plane[..., None]) for name, plane in planes.items()]):
@@ -137,13 +145,16 @@ class ImageFile:
 
     def read_ids(self, part: Part, name: str, rows: tuple[int, int] | None = None) -> np.ndarray:
         """One channel, likewise, with every bit of it: uint32 where it is stored so, else float32; 0 where there is no
-        data. As floats whole numbers would be scaled to 0..1."""
-        index = part.channels.index(name)
-        if part.formats[index] != "uint":
+        data."""
+        if part.formats[part.channels.index(name)] != "uint":
             return self.read(part, {name: 0.0}, rows)[name]
         part = part if rows is None else some_rows(part, *rows)
-        pixels = self._read_rows(part, index, index + 1, oiio.UINT)
-        return to_area(self._require_pixels(pixels)[:, :, 0], part, 0)
+        return to_area(self._read_counts(part, name), part, 0)
+
+    def _read_counts(self, part: Part, name: str) -> np.ndarray:
+        """The data window of a channel of whole numbers, uint32: as floats they would be scaled to 0..1."""
+        index = part.channels.index(name)
+        return self._require_pixels(self._read_rows(part, index, index + 1, oiio.UINT))[:, :, 0]
 
     def read_stored(self, part: Part, names: Sequence[str], first: int, last: int) -> list[np.ndarray]:
         """Channels as they are stored, bit for bit: uint32, float16 or float32 (rows, width) of the data window's rows

@@ -198,17 +198,29 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     total = sum((pixels[part.name][::_STEP] for part in named), np.zeros_like(picture[::_STEP]))
     excess, light = np.maximum(total - picture[::_STEP], 0), np.abs(picture[::_STEP])
     valid = np.isfinite(excess) & np.isfinite(light)
-    if len(named) < 2 or excess[valid].sum(dtype=np.float64) <= NEAR * light[valid].sum(dtype=np.float64):
-        return parts, []
+    lights = [part.name for part in parts if part.is_light and part.name in pixels]
+    below = [name for name in lights if _is_below(pixels[name])]
+    notes = [f"parts {', '.join(below)} have light below 0, which is cut to 0: add it to another layer, or leave them "
+             "out of --aov"] if below else []
+    if not named or excess[valid].sum(dtype=np.float64) <= NEAR * light[valid].sum(dtype=np.float64):
+        return parts, notes
     sets = find_sets(picture, {part.name: pixels[part.name] for part in named})
     groups = {name: ",".join(names) for names in sets for name in names}
     alone = [part.name for part in named if part.name not in groups]
-    notes = [f"parts {' and '.join(map(', '.join, sets))} each add up to the picture: they are taken as "
-             f"{len(sets)} sets"] if len(sets) > 1 else []
+    if len(sets) > 1:
+        notes.append(f"parts {' and '.join(map(', '.join, sets))} each add up to the picture: they are taken as "
+                     f"{len(sets)} sets")
     if alone:
         notes.append(f"parts {', '.join(alone)} do not add up to the picture with others: each is filtered on its own")
     grouped = tuple(replace(part, group=groups.get(part.name, part.name)) if part in named else part for part in parts)
     return grouped, notes
+
+
+def _is_below(part: np.ndarray) -> bool:
+    """Whether a part has light below 0, by every eighth row."""
+    seen = part[::_STEP]
+    seen = seen[np.isfinite(seen)]
+    return bool(np.maximum(-seen, 0).sum(dtype=np.float64) > NEAR * np.abs(seen).sum(dtype=np.float64))
 
 
 def read_parts(files: Mapping[str, ImageFile], found: Mapping[str, FoundPart]) -> dict[str, np.ndarray]:

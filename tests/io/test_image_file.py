@@ -31,6 +31,20 @@ def test_reads_only_the_named_channels(write_exr, ramp):
     np.testing.assert_array_equal(read["G"], channels["G"])
 
 
+@pytest.mark.parametrize("rows", [None, (1, 3)])
+def test_whole_numbers_are_read_as_they_are(tmp_path: Path, rows):
+    """Not in parts of 2^32, beside halves, in any order, with what stands for none around the data window."""
+    light, counts = np.arange(24, dtype=np.float16).reshape(4, 6), np.arange(24, dtype=np.uint32).reshape(4, 6) * 1000
+    header = {"type": OpenEXR.scanlineimage, "dataWindow": ((1, 0), (6, 3)), "displayWindow": ((0, 0), (7, 3))}
+    OpenEXR.File(header, {"G": light, "R": counts}).write(str(tmp_path / "a.exr"))
+    with ImageFile(tmp_path / "a.exr") as file:
+        found = file.read(file.parts[0], {"R": 7.0, "G": 0.0}, rows)
+    assert list(found) == ["R", "G"] and found["R"].dtype == np.float32
+    np.testing.assert_array_equal(found["R"][:, 1:7], counts[slice(*rows or (None,))])
+    np.testing.assert_array_equal(found["G"][:, 1:7], light[slice(*rows or (None,))])
+    assert (found["R"][:, [0, 7]] == 7).all()
+
+
 def test_multi_part_keeps_part_names(write_parts, ramp):
     path = write_parts("a.exr", {"beauty": ramp("R", "G", "B"), "depth": ramp("Z")})
     with ImageFile(path) as file:

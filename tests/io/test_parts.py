@@ -243,6 +243,18 @@ def test_layers_that_are_too_bright_together_are_grouped_by_sets_and_what_is_lef
     assert notes[1] == "parts glow do not add up to the picture with others: each is filtered on its own"
 
 
+def test_a_part_brighter_than_the_picture_and_light_below_0_are_told(two_splits):
+    picture, pixels = two_splits
+    glow, dark = Part("glow", "light", "named"), Part("dark", "light", "named")
+    (grouped,), (note,) = group_parts([glow], picture, {"glow": 2 * picture})
+    assert grouped.group == "glow"
+    assert note == "parts glow do not add up to the picture with others: each is filtered on its own"
+    darkened = {"key": picture + 0.1, "dark": np.full_like(picture, -0.1)}
+    parts = (Part("key", "light", "named"), dark)
+    note = "parts dark have light below 0, which is cut to 0: add it to another layer, or leave them out of --aov"
+    assert group_parts(parts, picture, darkened) == (parts, [note])
+
+
 def test_some_parts_of_the_picture_stay_one_group_in_silence(two_splits):
     picture, pixels = two_splits
     for names in (("key",), ("key", "fill"), ("diffuse", "specular")):

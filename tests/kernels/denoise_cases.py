@@ -245,7 +245,7 @@ def _value(name: str, size: tuple[int, ...], case: Case, random: np.random.Gener
     if name == "reached":
         return np.ones(size) if size[1] == 1 else unit > 0.3
     if name == "complete":
-        return np.array([case.w % 2])
+        return np.array([case.w % 3 - 1])
     if name == "settings":  # of a mixture: half of the cases have a history
         return np.array([1.7, 0.5, case.w % 2, 0.8 if case.h % 2 else 1.0])
     if name in ("part", "colour", "opaque_colour", "denoised", "partner"):

@@ -395,3 +395,22 @@ def test_alpha_of_one_sample_a_pixel_is_denoised():
         made.append(pipeline(Frame({Role.COLOUR: colour, Role.ALPHA: alpha}, reset=True))[Role.ALPHA][..., 0])
     assert np.mean((made[0] - cover) ** 2) < 0.3 * np.mean((noisy - cover) ** 2)
     np.testing.assert_array_equal(made[1], drawn)
+
+
+BEYOND = {
+    "twice the picture": {"a": 2.0},
+    "one and a half": {"a": 1.0, "b": 0.5},
+    "split twice": {"key": 0.6, "fill": 0.4, "diffuse": 0.7, "specular": 0.3},
+}
+
+
+@pytest.mark.parametrize("kind", BEYOND)
+def test_light_that_is_no_part_of_the_picture_is_filtered_and_never_rescaled(kind: str, device: Device) -> None:
+    """Such parts were cut to the picture, in silence: the first one to half of its light."""
+    pipeline = upscaler(device, parts=tuple(BEYOND[kind]), scale=1)
+    for number in (1, 2):
+        frame = noisy(number, 37, 50)
+        frame.parts = {name: share * frame[Role.COLOUR] for name, share in BEYOND[kind].items()}
+        found = pipeline(frame)
+        for name, part in found.parts.items():
+            assert part.mean() == pytest.approx(BEYOND[kind][name] * found[Role.COLOUR].mean(), rel=0.05)

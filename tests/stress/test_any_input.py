@@ -111,6 +111,17 @@ def test_any_shot(name: str) -> None:
     examples(CHECKS[name], QUICK)
 
 
+def test_frames_between_hold_light_near_the_end_of_floats() -> None:
+    """Sums of its squares are infinite: pixels between it and black were NaN."""
+    bright = np.array([[[0.1, -0.1, 0.6]], [[3e38] * 3], [[1.3, 0.9, -0.7]]], np.float32)
+    first = Frame({Role.COLOUR: bright, Role.ALPHA: np.zeros((3, 1, 1), np.float32)}, number=0)
+    last = Frame({Role.COLOUR: 0 * bright, Role.MOTION: np.zeros((3, 1, 2), np.float32)}, number=1)
+    by_interpolator([first, last])
+    wide = [Frame({role: np.tile(plane, (24, 64, 1)) for role, plane in frame.planes.items()}, number=frame.number)
+            for frame in (first, last)]
+    by_interpolator(wide)
+
+
 @pytest.mark.soak
 @pytest.mark.parametrize("name", CHECKS)
 def test_many_shots(name: str) -> None:

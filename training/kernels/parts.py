@@ -77,7 +77,7 @@ class Balance(nn.Module):
         total, alone = parts.sum(0), complete > 0
         dark = torch.where(alone, (DARKEST - total).clamp(min=0), 0)  # equal shares where there is no light
         light = torch.where(alone, total + parts.shape[0] * dark, torch.maximum(total, whole).clamp(min=DARKEST))
-        return (parts + dark) * (picture / light)
+        return torch.where(complete < 0, parts, (parts + dark) * (picture / light))
 
 
 class Gather(nn.Module):

@@ -231,7 +231,8 @@ FN void fill_covers(const Picture& reached, Long y, Long height, Long width, flo
 }
 
 // Parts in the proportions that they have to each other if they are complete, when each counts as having the same where
-// none has light; else to the whole, which was filtered like them.
+// none has light; else to the whole, which was filtered like them. Parts that are no part of the picture stay as they
+// were filtered: nothing tells their light.
 template <bool COVERED, bool COMPLETE>
 FN void balance_row(const View<const float, 4>& parts, const float* covers, const float* whole,
                     const float* picture, Long y, const View<float, 4>& balanced) {
@@ -255,16 +256,31 @@ FN void balance_row(const View<const float, 4>& parts, const float* covers, cons
     });
 }
 
+template <bool COVERED>
+FN void keep_row(const View<const float, 4>& parts, const float* covers, Long y, const View<float, 4>& balanced) {
+    const Long width = 3 * parts.size[2];
+    for (Long k = 0; k < parts.size[0]; k++) {
+        across(0, width, PIXELS(auto one, Long i) {
+            typedef decltype(one) F;
+            const F found = load<F>(parts(k, y) + i);
+            store<F>(balanced(k, y) + i, COVERED ? found * load<F>(covers + k * width + i) : found);
+        });
+    }
+}
+
 static Status balance_rows(Long first, Long last, View<const float, 4> parts, Picture reached, Picture whole,
                            Picture picture, Places complete, View<float, 4> balanced) {
     const Long height = parts.size[1], width = parts.size[2];
     const bool covered = reached.size[1] > 1, alone = complete.at[0] > 0.0f;
+    const bool beyond = complete.at[0] < 0.0f;
     const Room<float> covers(covered ? parts.size[0] * width * 3 : 0);
     if (!covers) return NO_MEMORY;
     for (Long y = first; y < last; y++) {
         const float *all = whole(y), *target = picture(y);
         if (covered) fill_covers(reached, y, height, width, covers.at);
-        if (covered && alone) balance_row<true, true>(parts, covers.at, all, target, y, balanced);
+        if (covered && beyond) keep_row<true>(parts, covers.at, y, balanced);
+        else if (beyond) keep_row<false>(parts, covers.at, y, balanced);
+        else if (covered && alone) balance_row<true, true>(parts, covers.at, all, target, y, balanced);
         else if (covered) balance_row<true, false>(parts, covers.at, all, target, y, balanced);
         else if (alone) balance_row<false, true>(parts, covers.at, all, target, y, balanced);
         else balance_row<false, false>(parts, covers.at, all, target, y, balanced);

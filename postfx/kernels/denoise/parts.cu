@@ -77,7 +77,7 @@ extern "C" __global__ void denoise_balance(View parts, View reached, View whole,
     const int count = parts.size[0], height = parts.size[1], width = parts.size[2];
     PIXEL(width, height);
     const size_t stride = 3 * size_t(height) * width, pixel = 3 * (size_t(y) * width + x);
-    const bool alone = complete.at[0] > 0.0f;
+    const bool alone = complete.at[0] > 0.0f, beyond = complete.at[0] < 0.0f;
     const int h = reached.size[1], w = reached.size[2];
     const float* const cover = reached.at + size_t(y) * h / height * w + size_t(x) * w / width;
     for (int c = 0; c < 3; c++) {
@@ -85,7 +85,7 @@ extern "C" __global__ void denoise_balance(View parts, View reached, View whole,
         for (int k = 0; k < count; k++) total += parts.at[k * stride + pixel + c] * cover[size_t(k) * h * w];
         const float dark = alone ? fmaxf(DARKEST - total, 0.0f) : 0.0f;
         const float light = alone ? total + count * dark : fmaxf(fmaxf(total, whole.at[pixel + c]), DARKEST);
-        const float ratio = picture.at[pixel + c] / light;
+        const float ratio = beyond ? 1.0f : picture.at[pixel + c] / light;
         for (int k = 0; k < count; k++) {
             const size_t at = k * stride + pixel + c;
             balanced.at[at] = (parts.at[at] * cover[size_t(k) * h * w] + dark) * ratio;

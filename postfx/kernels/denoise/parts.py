@@ -6,6 +6,8 @@ part's values before they are filtered, what the rest is multiplied by, 0 and 1 
 ``last_part`` (h, w, 3) and ``next_part`` (th, tw, 3) are the accumulated values without reflectance; ``past`` tells
 where they are not used. Several parts are filtered and enlarged at once, so that the weights are read from memory once
 for them.
+``complete`` (1,) is 1 for parts that add up to the picture, 0 for some of it, and -1 for others, which are not brought
+to it.
 """
 
 from dataclasses import replace

@@ -32,6 +32,8 @@ from postfx.sampling import three_by_three
 
 NEAR = 2e-3
 """Parts are all of the picture if their sum differs by less than this share of its light."""
+BEYOND = 1.5
+"""How many times that share they must be brighter than it in places to be no parts of it: halves are rounded."""
 STEP = 8
 """One row in so many is looked at for that."""
 DENSE, DENSER = 0.6, 0.8
@@ -212,7 +214,7 @@ class Layers:
     def resample(self, commands: CommandBuffer, frame: ResidentFrame, picture: Tensor) -> None:
         """Record the work that only resamples the parts to output size, as for a picture that is only resampled."""
         for group in self._groups:
-            self._complete[group.first].upload([float(_is_complete(frame, group.names))])
+            self._complete[group.first].upload([_completeness(frame, group.names)])
         self._reached = dict(self._everywhere)
         self._plain.aim(frame.jitter)
         values = {}
@@ -240,9 +242,9 @@ class Layers:
         are not all of it."""
         found = []
         for group in self._groups:
-            complete = _is_complete(frame, group.names)
-            self._complete[group.first].upload([float(complete)])
-            found += [] if complete or WHOLE in found else [WHOLE]
+            complete = _completeness(frame, group.names)
+            self._complete[group.first].upload([complete])
+            found += [] if complete > 0 or WHOLE in found else [WHOLE]
             self._note_reach(frame, group)
         found += [name for name in self._parts if name != ALPHA_LAYER and self._kind(name) != FACTOR]
         return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and has_noisy_alpha(frame) else [])
@@ -412,17 +414,21 @@ def mean_stops(light: np.ndarray) -> float | None:
     return float(np.log2(total / seen.size)) if total > 0 else None
 
 
-def _is_complete(frame: ResidentFrame, names: Sequence[str]) -> bool:
-    """Whether parts add up to the picture, by every eighth row."""
+def _completeness(frame: ResidentFrame, names: Sequence[str]) -> float:
+    """1 where parts add up to the picture, 0 where they are some of it, and -1 where they are brighter than it, so that
+    it does not hold them; by every eighth row."""
     colour = frame.host_planes.get(Role.COLOUR)
     if colour is None:
-        return False
+        return 0.0
     seen = colour[::STEP]
     total = sum((frame.host_parts[name][::STEP] for name in names), np.zeros_like(seen))
     with np.errstate(invalid="ignore", over="ignore"):
-        apart, light = np.abs(total - seen), np.abs(seen)
+        apart, light = total - seen, np.abs(seen)
     valid = np.isfinite(apart)
-    return bool(apart[valid].sum(dtype=np.float64) <= NEAR * light[valid].sum(dtype=np.float64))
+    apart, least = apart[valid], NEAR * light[valid].sum(dtype=np.float64)
+    if np.abs(apart).sum(dtype=np.float64) <= least:
+        return 1.0
+    return -1.0 if np.maximum(apart, 0).sum(dtype=np.float64) > BEYOND * least else 0.0
 
 
 def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:

@@ -153,7 +153,13 @@ def shows_volume(depth: np.ndarray, before: bool = False) -> bool:
 
 def absent_plane(device: Device, role: Role, size: Size) -> Tensor:
     """What stands for a plane that a frame lacks."""
-    return device.wrap(f"absent {role}", np.full((*size, ROLES[role].channels), (ABSENT | MIRRORED)[role], np.float32))
+    shape, value = (*size, ROLES[role].channels), (ABSENT | MIRRORED)[role]
+    if device.scratch is None:
+        return device.wrap(f"absent {role}", np.full(shape, value, np.float32))
+    plane = device.scratch.empty(shape)
+    for first, last in device.scratch.pieces(size.height, plane[0].nbytes):
+        plane[first:last] = value
+    return device.wrap(f"absent {role}", plane)
 
 
 CENTRED = (0.0, 0.0)
