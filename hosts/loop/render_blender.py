@@ -61,4 +61,5 @@ def main():
         render(scene, job)
 
 
-main()
+if __name__ == "__main__":
+    main()

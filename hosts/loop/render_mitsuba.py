@@ -66,4 +66,5 @@ def main():
         render(load(source, job["frame"]), job)
 
 
-main()
+if __name__ == "__main__":
+    main()
