@@ -1,10 +1,16 @@
 """The expected squared error of denoised pixels, in display code values: read from files, or estimated.
 
-A network that predicts it writes a plane `error`. Without one it is estimated from the second differences of the
-pixels, before and after denoising, in code values (exposed, x / (1 + x), sRGB), squared and averaged around each pixel.
-Before, they show noise and detail together; after, the detail that the denoiser found. Where there is much of both it
-errs most. The error of a tile is near SHARE before^BEFORE_POWER after^AFTER_POWER. The constants are fitted to tiles of
-scenes with references; docs/howto/render_more.md says what such estimates are worth.
+A network that predicts it writes a plane `error`. Without one there are two ways, docs/lab/render_more.md compares them.
+
+Two renders A and B of the frame, with different seeds, measure it. A denoised, D(A), knows nothing of the noise of B, so
+(D(A) - B)^2 holds the error of D(A) and the noise of B; (D(B) - A)^2 the other way round; and (A - B)^2 / 2 holds the
+noise of both. What is left of the first two after taking the last away is the error, noise and bias of the denoiser
+together, in the mean over many pixels. Nothing in it is fitted.
+
+One render alone says less: the second differences of its pixels, before and after denoising, in code values (exposed,
+x / (1 + x), sRGB), squared and averaged around each pixel. Before, they show noise and detail together; after, the detail
+that the denoiser found. Where there is much of both it errs most. The error of a tile is near
+SHARE before^BEFORE_POWER after^AFTER_POWER, with constants that are fitted to tiles of scenes with references.
 """
 
 from __future__ import annotations
@@ -13,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from postfx.adaptive.plan import SLOPE
 from postfx.colour.views import to_codes
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
@@ -27,6 +34,12 @@ RADIUS = 8
 SHARE, BEFORE_POWER, AFTER_POWER = 0.66, 0.714, 0.287
 LEAST = 1e-7
 """Mean square of differences that counts as flat."""
+STEP = 1e-3
+"""Share of 1 + light over which the slope of the display curve is taken."""
+CLOSE = 4
+"""Radius of the squares that the error of halves is averaged over, in pixels: no more than a tile smooths anyway."""
+FLOOR = 0.5
+"""Share of the variance of denoised halves below which no estimate falls, as noise may leave less than nothing."""
 
 
 def read_error(path: Path) -> np.ndarray | None:
@@ -53,6 +66,31 @@ def estimate_error(noisy: Frame, denoised: np.ndarray, exposure_factor: float) -
     found = SHARE * before**BEFORE_POWER * after**AFTER_POWER
     error: np.ndarray = found[:, :, 0].astype(np.float32)
     return error
+
+
+def estimate_from_halves(
+    halves: tuple[np.ndarray, np.ndarray], denoised: tuple[np.ndarray, np.ndarray], exposure_factor: float
+) -> np.ndarray:
+    """Expected squared error of each pixel (height, width) of both halves together, denoised.
+
+    halves: colours (height, width, 3) of renders with different seeds, and about as many samples each; denoised: each of
+    them denoised alone. Means over 500 pixels and more say something, single pixels little. Raises FrameError where
+    sizes differ.
+    """
+    if len({colour.shape for colour in (*halves, *denoised)}) > 1:
+        raise FrameError("halves of a shot and their denoised frames have several sizes: render both alike, and denoise "
+                         "them at the render's size")
+    one, other, clean, clean_other = (np.nan_to_num(colour).astype(np.float64) * exposure_factor
+                                      for colour in (*halves, *denoised))
+    left = (np.square(clean - other) + np.square(clean_other - one) - np.square(one - other)) / 2
+    light = np.maximum((clean + clean_other) / 2, 0)
+    step = STEP * (1 + light)
+    slope = (to_codes(light + step, 1.0) - to_codes(light, 1.0)) / step
+    error = local_mean((slope**2 * left).mean(axis=2, keepdims=True), CLOSE)
+    varies = np.square(to_codes(clean, 1.0) - to_codes(clean_other, 1.0)).mean(axis=2, keepdims=True) / 2
+    least = np.maximum(FLOOR * local_mean(varies, CLOSE), LEAST)
+    found: np.ndarray = 2**-SLOPE * np.maximum(error, least)[:, :, 0]
+    return found.astype(np.float32)
 
 
 def _busyness(codes: np.ndarray) -> np.ndarray:
