@@ -4,8 +4,9 @@ A network that predicts it writes a plane `error`. Without one there are two way
 
 Two renders A and B of the frame, with different seeds, measure it. A denoised, D(A), knows nothing of the noise of B, so
 (D(A) - B)^2 holds the error of D(A) and the noise of B; (D(B) - A)^2 the other way round; and (A - B)^2 / 2 holds the
-noise of both. What is left of the first two after taking the last away is the error, noise and bias of the denoiser
-together, in the mean over many pixels. Nothing in it is fitted.
+noise of both. What is left of the mean of the first two after taking the last away is the error, noise and bias of the
+denoiser together, in the mean over many pixels. Nothing in it is fitted. With M the mean of D(A) and D(B), and d their
+distance from it, that is d^2 + d ((A - M) - (B - M)) + (A - M) (B - M), of light times the slope of the display curve.
 
 One render alone says less: the second differences of its pixels, before and after denoising, in code values (exposed,
 x / (1 + x), sRGB), squared and averaged around each pixel. Before, they show noise and detail together; after, the detail
@@ -38,6 +39,8 @@ STEP = 1e-3
 """Share of 1 + light over which the slope of the display curve is taken."""
 CLOSE = 4
 """Radius of the squares that the error of halves is averaged over, in pixels: no more than a tile smooths anyway."""
+MOST_NOISE = 0.5
+"""Code values that noise counts for at most: a single firefly would say more than all other pixels of a tile."""
 FLOOR = 0.5
 """Share of the variance of denoised halves below which no estimate falls, as noise may leave less than nothing."""
 
@@ -82,11 +85,14 @@ def estimate_from_halves(
                          "them at the render's size")
     one, other, clean, clean_other = (np.nan_to_num(colour).astype(np.float64) * exposure_factor
                                       for colour in (*halves, *denoised))
-    left = (np.square(clean - other) + np.square(clean_other - one) - np.square(one - other)) / 2
-    light = np.maximum((clean + clean_other) / 2, 0)
+    middle = (clean + clean_other) / 2
+    light = np.maximum(middle, 0)
     step = STEP * (1 + light)
     slope = (to_codes(light + step, 1.0) - to_codes(light, 1.0)) / step
-    error = local_mean((slope**2 * left).mean(axis=2, keepdims=True), CLOSE)
+    apart = slope * (clean - middle)
+    noise, noise_other = (np.clip(slope * (half - middle), -MOST_NOISE, MOST_NOISE) for half in (one, other))
+    left = apart**2 + apart * (noise - noise_other) + noise * noise_other
+    error = local_mean(left.mean(axis=2, keepdims=True), CLOSE)
     varies = np.square(to_codes(clean, 1.0) - to_codes(clean_other, 1.0)).mean(axis=2, keepdims=True) / 2
     least = np.maximum(FLOOR * local_mean(varies, CLOSE), LEAST)
     found: np.ndarray = 2**-SLOPE * np.maximum(error, least)[:, :, 0]

@@ -70,10 +70,10 @@ def test_a_loss_is_not_written(tmp_path: Path, monkeypatch, capsys):
 
 
 def test_what_was_held_back_is_not_trained_on():
-    one = tune.Example(None, None, torch.zeros(1, 3, 48, 64), True, "")
+    one = tune.Example(None, None, torch.zeros(1, 3, 48, 64), torch.ones(1, 1, 48, 64), True, "")
     by_column, by_frame = tune.Split([one]), tune.Split([one] * 9)
-    assert by_column.columns(64, held=False) == slice(0, 48) and by_column.columns(64, held=True) == slice(48, 64)
-    assert len(by_frame.held) == 2 and len(by_frame.seen) == 7 and by_frame.columns(64, held=True) == slice(0, 64)
+    assert by_column.columns(one, held=False) == slice(0, 48) and by_column.columns(one, held=True) == slice(48, 64)
+    assert len(by_frame.held) == 2 and len(by_frame.seen) == 7 and by_frame.columns(one, held=True) == slice(0, 64)
 
 
 def test_the_command_says_what_is_wrong(tmp_path: Path, monkeypatch, capsys):
