@@ -8,6 +8,10 @@ noise of both. What is left of the mean of the first two after taking the last a
 denoiser together, in the mean over many pixels. Nothing in it is fitted. With M the mean of D(A) and D(B), and d their
 distance from it, that is d^2 + d ((A - M) - (B - M)) + (A - M) (B - M), of light times the slope of the display curve.
 
+That is the error E of a half. Both together have a smaller one, and how much smaller shows where they are denoised: C is
+the squared difference of that picture from M. Their error is near CHANGE_SHARE E^(1 - CHANGE_POWER) C^CHANGE_POWER. C has
+less noise than E, too.
+
 One render alone says less: the second differences of its pixels, before and after denoising, in code values (exposed,
 x / (1 + x), sRGB), squared and averaged around each pixel. Before, they show noise and detail together; after, the detail
 that the denoiser found. Where there is much of both it errs most. The error of a tile is near
@@ -16,11 +20,11 @@ SHARE before^BEFORE_POWER after^AFTER_POWER, with constants that are fitted to t
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from postfx.adaptive.plan import SLOPE
 from postfx.colour.views import to_codes
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
@@ -41,6 +45,7 @@ CLOSE = 4
 """Radius of the squares that the error of halves is averaged over, in pixels: no more than a tile smooths anyway."""
 MOST_NOISE = 0.5
 """Code values that noise counts for at most: a single firefly would say more than all other pixels of a tile."""
+CHANGE_SHARE, CHANGE_POWER = 1.5, 0.25
 FLOOR = 0.5
 """Share of the variance of denoised halves below which no estimate falls, as noise may leave less than nothing."""
 
@@ -71,32 +76,47 @@ def estimate_error(noisy: Frame, denoised: np.ndarray, exposure_factor: float) -
     return error
 
 
+def mean_frame(one: Frame, other: Frame) -> Frame:
+    """Two renders of a frame with as many samples each as one; depth and motion are those of the first."""
+    kept = {Role.DEPTH, Role.MOTION}
+    planes = {role: plane if role in kept or role not in other else (plane + other[role]) / 2
+              for role, plane in one.planes.items()}
+    return replace(one, planes=planes)
+
+
 def estimate_from_halves(
-    halves: tuple[np.ndarray, np.ndarray], denoised: tuple[np.ndarray, np.ndarray], exposure_factor: float
+    halves: tuple[np.ndarray, np.ndarray], denoised: tuple[np.ndarray, np.ndarray, np.ndarray], exposure_factor: float
 ) -> np.ndarray:
     """Expected squared error of each pixel (height, width) of both halves together, denoised.
 
     halves: colours (height, width, 3) of renders with different seeds, and about as many samples each; denoised: each of
-    them denoised alone. Means over 500 pixels and more say something, single pixels little. Raises FrameError where
-    sizes differ.
+    them denoised alone, then both together. Means over 500 pixels and more say something, single pixels little. Raises
+    FrameError where sizes differ.
     """
     if len({colour.shape for colour in (*halves, *denoised)}) > 1:
         raise FrameError("halves of a shot and their denoised frames have several sizes: render both alike, and denoise "
                          "them at the render's size")
-    one, other, clean, clean_other = (np.nan_to_num(colour).astype(np.float64) * exposure_factor
-                                      for colour in (*halves, *denoised))
+    one, other, clean, clean_other, whole = (np.nan_to_num(colour).astype(np.float64) * exposure_factor
+                                             for colour in (*halves, *denoised))
     middle = (clean + clean_other) / 2
     light = np.maximum(middle, 0)
     step = STEP * (1 + light)
     slope = (to_codes(light + step, 1.0) - to_codes(light, 1.0)) / step
     apart = slope * (clean - middle)
     noise, noise_other = (np.clip(slope * (half - middle), -MOST_NOISE, MOST_NOISE) for half in (one, other))
-    left = apart**2 + apart * (noise - noise_other) + noise * noise_other
-    error = local_mean(left.mean(axis=2, keepdims=True), CLOSE)
-    varies = np.square(to_codes(clean, 1.0) - to_codes(clean_other, 1.0)).mean(axis=2, keepdims=True) / 2
-    least = np.maximum(FLOOR * local_mean(varies, CLOSE), LEAST)
-    found: np.ndarray = 2**-SLOPE * np.maximum(error, least)[:, :, 0]
+    left = _close_mean(apart**2 + apart * (noise - noise_other) + noise * noise_other)
+    codes, codes_other, codes_whole = (to_codes(colour, 1.0) for colour in (clean, clean_other, whole))
+    varies = _close_mean(np.square(codes - codes_other) / 2)
+    error = np.maximum(left, np.maximum(FLOOR * varies, LEAST))
+    change = _close_mean(np.square((codes + codes_other) / 2 - codes_whole)) + LEAST
+    found: np.ndarray = CHANGE_SHARE * error ** (1 - CHANGE_POWER) * change**CHANGE_POWER
     return found.astype(np.float32)
+
+
+def _close_mean(plane: np.ndarray) -> np.ndarray:
+    """Mean of the channels and of the pixels near by of a plane (height, width, channels): (height, width)."""
+    mean: np.ndarray = local_mean(plane.mean(axis=2, keepdims=True), CLOSE)[:, :, 0]
+    return mean
 
 
 def _busyness(codes: np.ndarray) -> np.ndarray:

@@ -236,7 +236,7 @@ class Loop:
         given = self._arguments
         one, other = (str(self._work / half / "####.exr") for half in HALVES)
         words = ["samples", one, "--halves", other, "--denoised", *map(self._clean, HALVES),
-                 f"--frames={given.frames}", "--quality", given.quality, "--tile", str(given.tile), "--json"]
+                 given.output, f"--frames={given.frames}", "--quality", given.quality, "--tile", str(given.tile), "--json"]
         used = sum(one["more_samples"] for one in self.rounds)
         if given.budget is not None:
             left = max(given.budget - used, 0)

@@ -55,7 +55,8 @@ SAMPLES = Options(Section("", (
            excludes={"--error": "{flag} and --error both tell the error: give one of them"},
            help="INPUT rendered again with another seed and as many samples: both together are the shot"),
     Option(flag="--denoised", metavar="FRAMES", is_file=True, several=True,
-           help="INPUT, and then --halves, denoised at their own size (default: denoise them here)"),
+           help="INPUT denoised at its own size; with --halves three: INPUT, --halves and both merged (default: denoise "
+                "them here)"),
     Option(flag="--samples", metavar="N", type=parse_positive,
            help="samples a pixel of INPUT (default: by its header)"),
     Option(flag="--seconds", metavar="S", type=parse_from_zero,
@@ -112,8 +113,9 @@ class SamplesJob:
         self._halves = [self._sequence, *others]
         given = arguments.denoised or []
         names = [given] if isinstance(given, str) else given
-        if names and len(names) != len(self._halves):
-            raise OptionError(f"--denoised {' '.join(names)}: give one for INPUT, and one for --halves if that is given")
+        if names and len(names) != (3 if others else 1):
+            raise OptionError(f"--denoised {' '.join(names)}: give one for INPUT, or with --halves three: of INPUT, of "
+                              "--halves, and of both merged")
         self._denoised = [read_sequence(name, planes=[Role.COLOUR]) for name in names]
         self._errors = Sequence(arguments.error) if arguments.error else None
         self._meter = ExposureMeter(arguments.exposure)
@@ -216,23 +218,25 @@ class SamplesJob:
 
     def _frames(self) -> Iterator[tuple[Frame, np.ndarray, np.ndarray]]:
         """Each frame, its denoised colour (its own where that is not needed) and the expected error."""
-        from postfx.adaptive.estimate import estimate_error, estimate_from_halves
+        from postfx.adaptive.estimate import estimate_error, estimate_from_halves, mean_frame
         from postfx.errors import MissingPlaneError
         from postfx.frame import Role
 
         denoisers: list[Any] = []
         for frame in self._sequence:
-            halves = [frame, *(half.read(frame.number) for half in self._halves[1:])]
-            error = None if len(halves) == 2 else self._read_error(frame)
-            denoised = [half[Role.COLOUR] for half in halves]
+            renders = [frame, *(half.read(frame.number) for half in self._halves[1:])]
+            renders += [mean_frame(*renders)] if len(renders) == 2 else []
+            error = None if len(renders) > 1 else self._read_error(frame)
+            denoised = [render[Role.COLOUR] for render in renders]
             if self._denoised:
                 denoised = [one.read(frame.number)[Role.COLOUR] for one in self._denoised]
             elif error is None:
-                denoisers = denoisers or [self._make_denoiser(half) for half in self._halves]
-                denoised = [denoise(half)[Role.COLOUR] for denoise, half in zip(denoisers, halves, strict=True)]
-            if len(halves) == 2:
-                colours = halves[0][Role.COLOUR], halves[1][Role.COLOUR]
-                error = estimate_from_halves(colours, (denoised[0], denoised[1]), self._meter(frame))
+                # What is denoised of a half must not know the other one, not even by its history.
+                denoisers = denoisers or [self._make_denoiser(half) for half in (*self._halves, self._sequence)]
+                denoised = [denoise(render)[Role.COLOUR] for denoise, render in zip(denoisers, renders, strict=False)]
+            if len(renders) > 1:
+                halves = renders[0][Role.COLOUR], renders[1][Role.COLOUR]
+                error = estimate_from_halves(halves, (denoised[0], denoised[1], denoised[2]), self._meter(frame))
                 self.sources.add("two halves of the samples")
             elif error is None:
                 error = estimate_error(frame, denoised[0], self._meter(frame))
@@ -242,7 +246,7 @@ class SamplesJob:
                                         "that at the render's size")
             else:
                 self.sources.add("the plane 'error'")
-            yield frame, denoised[0], error
+            yield frame, denoised[-1], error
 
     def _read_error(self, frame: Frame) -> np.ndarray | None:
         """The plane 'error' of a frame, from the files that are to have it, or else from those that may."""

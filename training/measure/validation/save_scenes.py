@@ -27,6 +27,7 @@ from training.measure.validation.render_scenes import BOUNCES, pair  # noqa: E40
 FRAME = 2
 CLAMP = 10.0  # of indirect light, as artists set it
 MOST = 1024  # samples a pixel at most under adaptive sampling
+FEWEST = 4  # samples a pixel that Cycles takes before it asks whether a pixel has converged
 
 
 def save(kind: str, path: Path, size: tuple[int, int]) -> None:
@@ -47,7 +48,7 @@ def render_adaptively(threshold: float, path: Path) -> None:
     scene = bpy.context.scene
     render_blender.set_up(scene)
     scene.cycles.use_adaptive_sampling = True
-    scene.cycles.adaptive_threshold = threshold
+    scene.cycles.adaptive_threshold, scene.cycles.adaptive_min_samples = threshold, FEWEST
     job = {"frame": FRAME, "samples": MOST, "seed": 1, "region": None, "output": str(path)}
     render_blender.render(scene, job)
 
