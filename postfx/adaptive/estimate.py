@@ -25,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from postfx.adaptive.plan import tile_means
 from postfx.colour.views import to_codes
 from postfx.errors import FrameError
 from postfx.frame import Frame, Role
@@ -41,11 +42,10 @@ LEAST = 1e-7
 """Mean square of differences that counts as flat."""
 STEP = 1e-3
 """Share of 1 + light over which the slope of the display curve is taken."""
-CLOSE = 4
-"""Radius of the squares that the error of halves is averaged over, in pixels: no more than a tile smooths anyway."""
 MOST_NOISE = 0.5
 """Code values that noise counts for at most: a single firefly would say more than all other pixels of a tile."""
-CHANGE_SHARE, CHANGE_POWER = 1.5, 0.25
+CHANGE_SHARE = 1.72
+CHANGE_POWER = 0.3
 FLOOR = 0.5
 """Share of the variance of denoised halves below which no estimate falls, as noise may leave less than nothing."""
 
@@ -85,38 +85,40 @@ def mean_frame(one: Frame, other: Frame) -> Frame:
 
 
 def estimate_from_halves(
-    halves: tuple[np.ndarray, np.ndarray], denoised: tuple[np.ndarray, np.ndarray, np.ndarray], exposure_factor: float
+    halves: tuple[np.ndarray, np.ndarray], denoised: tuple[np.ndarray, np.ndarray, np.ndarray], exposure_factor: float,
+    side: int
 ) -> np.ndarray:
-    """Expected squared error of each pixel (height, width) of both halves together, denoised.
+    """Expected squared error of both halves together, denoised: for each pixel (height, width) that of its tile.
 
     halves: colours (height, width, 3) of renders with different seeds, and about as many samples each; denoised: each of
-    them denoised alone, then both together. Means over 500 pixels and more say something, single pixels little. Raises
-    FrameError where sizes differ.
+    them denoised alone, then both together; side: of the tiles in pixels. Raises FrameError where sizes differ.
     """
     if len({colour.shape for colour in (*halves, *denoised)}) > 1:
         raise FrameError("halves of a shot and their denoised frames have several sizes: render both alike, and denoise "
                          "them at the render's size")
-    one, other, clean, clean_other, whole = (np.nan_to_num(colour).astype(np.float64) * exposure_factor
-                                             for colour in (*halves, *denoised))
+    half = error_of_half(halves, (denoised[0], denoised[1]), exposure_factor, side)
+    codes, codes_other, codes_whole = (to_codes(colour, exposure_factor) for colour in denoised)
+    change = tile_means(np.square((codes + codes_other) / 2 - codes_whole), side) + LEAST
+    found = np.float32(CHANGE_SHARE * half ** (1 - CHANGE_POWER) * change**CHANGE_POWER)
+    height, width = halves[0].shape[:2]
+    return np.ascontiguousarray(found.repeat(side, axis=0).repeat(side, axis=1)[:height, :width])
+
+
+def error_of_half(
+    halves: tuple[np.ndarray, np.ndarray], denoised: tuple[np.ndarray, np.ndarray], exposure_factor: float, side: int
+) -> np.ndarray:
+    """Expected squared error of the tiles (rows, columns) of one of two halves, denoised alone: the mean of both."""
+    one, other, clean, clean_other = (np.nan_to_num(colour).astype(np.float64) * exposure_factor
+                                      for colour in (*halves, *denoised))
     middle = (clean + clean_other) / 2
     light = np.maximum(middle, 0)
     step = STEP * (1 + light)
     slope = (to_codes(light + step, 1.0) - to_codes(light, 1.0)) / step
     apart = slope * (clean - middle)
     noise, noise_other = (np.clip(slope * (half - middle), -MOST_NOISE, MOST_NOISE) for half in (one, other))
-    left = _close_mean(apart**2 + apart * (noise - noise_other) + noise * noise_other)
-    codes, codes_other, codes_whole = (to_codes(colour, 1.0) for colour in (clean, clean_other, whole))
-    varies = _close_mean(np.square(codes - codes_other) / 2)
-    error = np.maximum(left, np.maximum(FLOOR * varies, LEAST))
-    change = _close_mean(np.square((codes + codes_other) / 2 - codes_whole)) + LEAST
-    found: np.ndarray = CHANGE_SHARE * error ** (1 - CHANGE_POWER) * change**CHANGE_POWER
-    return found.astype(np.float32)
-
-
-def _close_mean(plane: np.ndarray) -> np.ndarray:
-    """Mean of the channels and of the pixels near by of a plane (height, width, channels): (height, width)."""
-    mean: np.ndarray = local_mean(plane.mean(axis=2, keepdims=True), CLOSE)[:, :, 0]
-    return mean
+    error = tile_means(apart**2 + apart * (noise - noise_other) + noise * noise_other, side)
+    varies = tile_means(np.square(to_codes(clean, 1.0) - to_codes(clean_other, 1.0)) / 2, side)
+    return np.maximum(error, np.maximum(FLOOR * varies, LEAST))
 
 
 def _busyness(codes: np.ndarray) -> np.ndarray:

@@ -26,8 +26,8 @@ FEWEST = 4
 """Samples below which a render of a tile does not pay."""
 QUALITIES = {"draft": 30.0, "visible": 36.0, "fine": 42.0}
 """Word -> PSNR of the displayed picture in dB, which each tile is to reach."""
-FLIP_POWER = 0.6
-"""By which power of its squared error the FLIP of a denoised scene falls with more samples, see docs/lab/render_more.md."""
+FLIP_POWER = 0.4
+"""By which power of squared errors FLIP goes, over tiles and with more samples: see docs/lab/render_more.md."""
 FLIP_AT = {30.0: 0.086, 36.0: 0.052, 42.0: 0.031}
 """PSNR of a denoised tile -> its mean FLIP, to which 'flip=' refers."""
 
@@ -126,6 +126,12 @@ def tile_sums(plane: np.ndarray, side: int) -> np.ndarray:
     """Sums over tiles of a plane (height, width), those at the end smaller."""
     rows = np.add.reduceat(plane.astype(np.float64), np.arange(0, plane.shape[0], side), axis=0)
     return np.asarray(np.add.reduceat(rows, np.arange(0, plane.shape[1], side), axis=1))
+
+
+def tile_means(plane: np.ndarray, side: int) -> np.ndarray:
+    """Means over tiles of a plane (height, width, channels) and of its channels."""
+    mean: np.ndarray = tile_sums(plane.mean(axis=2), side) / tile_sums(np.ones(plane.shape[:2]), side)
+    return mean
 
 
 def plan_samples(shot: Sequence[Tiles], quality: Quality, budget: float | None = None) -> list[np.ndarray]:

@@ -236,7 +236,8 @@ class SamplesJob:
                 denoised = [denoise(render)[Role.COLOUR] for denoise, render in zip(denoisers, renders, strict=False)]
             if len(renders) > 1:
                 halves = renders[0][Role.COLOUR], renders[1][Role.COLOUR]
-                error = estimate_from_halves(halves, (denoised[0], denoised[1], denoised[2]), self._meter(frame))
+                error = estimate_from_halves(halves, (denoised[0], denoised[1], denoised[2]), self._meter(frame),
+                                             self._arguments.tile)
                 self.sources.add("two halves of the samples")
             elif error is None:
                 error = estimate_error(frame, denoised[0], self._meter(frame))

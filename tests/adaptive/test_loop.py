@@ -72,10 +72,16 @@ def test_only_noisy_tiles_are_rendered_again_and_merged(tmp_path: Path, fake: st
 
 
 def test_a_budget_is_kept_over_all_rounds(tmp_path: Path, fake: str, capsys):
-    words = ("--samples", "4", "--rounds", "3", "--budget", "10", "--quality", "60dB", "--json")
-    assert loop(tmp_path, fake, *words) == 0
+    words = ("--samples", "4", "--quality", "60dB", "--json")
+    assert loop(tmp_path, fake, *words, "--rounds", "1", "--budget", "4") == 0
     rounds = json.loads(capsys.readouterr().out)["rounds"]
-    assert 4 < rounds[-1]["samples"] <= 14 and len(rounds) >= 2
+    assert 4 < rounds[-1]["samples"] <= 8 and len(rounds) == 2
+    assert loop(tmp_path, fake, *words, "--rounds", "3", "--budget", "10") == 0  # goes on with a larger budget
+    rounds = json.loads(capsys.readouterr().out)["rounds"]
+    assert 8 < rounds[-1]["samples"] <= 14 and len(rounds) >= 3
+    seeds = {job["seed"] for path in tmp_path.glob("clean/loop/round*.json")
+             for job in json.loads(path.read_text())["jobs"]}
+    assert len(seeds) == 2 * len(rounds)
 
 
 def test_a_loop_that_was_stopped_goes_on(tmp_path: Path, fake: str, capsys):

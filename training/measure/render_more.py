@@ -14,7 +14,7 @@ from two halves and from the noise alone.
 
 References have noise of their own, which would hide small errors. FLIP compares with the denoised reference. Squared
 errors are those to the reference without its noise, which its distance from the largest uniform render tells; tiles where
-it is more than a third of the error do not count for predictions.
+it is more than a third of the error do not count for predictions, nor do those that are right within 60 dB.
 
 PYTHON is an interpreter with the module bpy. Cycles' scenes are those of training/measure/validation, Mitsuba's are
 mitsuba_NAME.py there.
@@ -60,6 +60,8 @@ WORST = 90
 """Percentile of the tiles' FLIP."""
 MOST_NOISE = 3
 """Times the reference's noise that a tile's error to it must be, to count for predictions."""
+DONE = 1e-6
+"""Squared error, 60 dB, below which a tile needs no prediction."""
 NEAR, FAR = 1.25, 2.0
 """Factors between predicted and measured errors."""
 
@@ -166,10 +168,11 @@ class Judge:
         whole = read(scene.uniform(index))
         colour = self.denoise(whole)
         error, noise = self.tiles(self.error(colour)), self.tiles(self._noise)
-        is_clear = error > noise * (MOST_NOISE - 1)
+        is_clear = (error > noise * (MOST_NOISE - 1)) & (error > DONE)
         colours = halves[0][Role.COLOUR], halves[1][Role.COLOUR]
         denoised = self.denoise(halves[0]), self.denoise(halves[1]), colour
-        found = (estimate_from_halves(colours, denoised, self.exposure), estimate_error(whole, colour, self.exposure))
+        found = (estimate_from_halves(colours, denoised, self.exposure, self._tile),
+                 estimate_error(whole, colour, self.exposure))
         one, other = (self.tiles(made)[is_clear] / error[is_clear] for made in found)
         return one, other
 
