@@ -5,7 +5,8 @@
 
 Regions are border renders at full size, so each file says by its plane of sample counts what it holds. Blender's own
 denoiser, adaptive sampling and the compositor are off, since postfx denoises, chooses samples and merges what comes
-from the renderer itself.
+from the renderer itself. Blender 5.0.1 crashes now and then when it keeps a scene between renders; the loop
+then starts it again for what is left.
 """
 
 import json
@@ -21,7 +22,7 @@ def set_up(scene):
     scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_animated_seed = False
     scene.render.use_compositing = scene.render.use_sequencer = False
-    scene.render.use_persistent_data = False  # Blender 5.0.1 crashes with it now and then on a CPU
+    scene.render.use_persistent_data = True  # else each region costs as much as a scene takes to load
     image = scene.render.image_settings
     if "media_type" in image.bl_rna.properties:  # since Blender 5
         image.media_type = "MULTI_LAYER_IMAGE"

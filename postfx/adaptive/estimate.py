@@ -7,6 +7,8 @@ Two renders A and B of the frame, with different seeds, measure it. A denoised, 
 noise of both. What is left of the mean of the first two after taking the last away is the error, noise and bias of the
 denoiser together, in the mean over many pixels. Nothing in it is fitted. With M the mean of D(A) and D(B), and d their
 distance from it, that is d^2 + d ((A - M) - (B - M)) + (A - M) (B - M), of light times the slope of the display curve.
+In one tile that is too noisy where renders are: what counts is its ratio to the variance of D(A) and D(B), over a tile and
+those around it, times that variance, which is known well.
 
 That is the error E of a half. Both together have a smaller one, and how much smaller shows where they are denoised: C is
 the squared difference of that picture from M. Their error is near CHANGE_SHARE E^(1 - CHANGE_POWER) C^CHANGE_POWER. C has
@@ -44,10 +46,10 @@ STEP = 1e-3
 """Share of 1 + light over which the slope of the display curve is taken."""
 MOST_NOISE = 0.5
 """Code values that noise counts for at most: a single firefly would say more than all other pixels of a tile."""
-CHANGE_SHARE = 1.72
+CHANGE_SHARE = 1.6
 CHANGE_POWER = 0.3
 FLOOR = 0.5
-"""Share of the variance of denoised halves below which no estimate falls, as noise may leave less than nothing."""
+"""Ratio of the error to the variance of denoised halves below which none falls: noise may leave less than nothing."""
 
 
 def read_error(path: Path) -> np.ndarray | None:
@@ -118,7 +120,17 @@ def error_of_half(
     noise, noise_other = (np.clip(slope * (half - middle), -MOST_NOISE, MOST_NOISE) for half in (one, other))
     error = tile_means(apart**2 + apart * (noise - noise_other) + noise * noise_other, side)
     varies = tile_means(np.square(to_codes(clean, 1.0) - to_codes(clean_other, 1.0)) / 2, side)
-    return np.maximum(error, np.maximum(FLOOR * varies, LEAST))
+    varies = np.maximum(varies, LEAST)
+    return varies * np.maximum(_around(error) / _around(varies), FLOOR)
+
+
+def _around(tiles: np.ndarray) -> np.ndarray:
+    """Weighted mean of each tile (rows, columns) and the eight around it; those at the border are repeated."""
+    for axis in (0, 1):
+        padded = np.pad(tiles, [(1, 1) if one == axis else (0, 0) for one in (0, 1)], mode="edge")
+        first, middle, last = (np.take(padded, np.arange(tiles.shape[axis]) + shift, axis) for shift in (0, 1, 2))
+        tiles = (first + 2 * middle + last) / 4
+    return tiles
 
 
 def _busyness(codes: np.ndarray) -> np.ndarray:

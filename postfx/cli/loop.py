@@ -164,29 +164,39 @@ class Loop:
                 for index, (half, share) in enumerate(zip(HALVES, shares, strict=True))]
 
     def _render(self, jobs: list[dict[str, Any]]) -> float:
-        """Let the renderer work; returns the seconds that it took."""
+        """Let the renderer work, again where it ended early but got on; returns the seconds that it took."""
         from postfx.errors import MissingFrameError, RunError
+
+        begin = time.perf_counter()
+        for job in jobs:
+            path = Path(job["output"])
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.unlink(missing_ok=True)
+        left, code = jobs, 1
+        while left and code:
+            before, (code, log) = len(left), self._call(left)
+            left = [job for job in left if not Path(job["output"]).exists()]
+            if code and len(left) == before:
+                raise RunError(f"--render: the renderer ended with {code}: {log} says why")
+        if left:
+            raise MissingFrameError(f"{left[0]['output']}: the renderer did not write it: {log} may say why")
+        return time.perf_counter() - begin
+
+    def _call(self, jobs: list[dict[str, Any]]) -> tuple[int, Path]:
+        """Start the renderer; returns its exit code and the log of what it said."""
+        from postfx.errors import RunError
         from postfx.files import write_text
 
         count = len(self.rounds)
         path, log = self._work / f"round{count}.json", self._work / f"round{count}.log"
-        for job in jobs:
-            Path(job["output"]).parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps({"jobs": jobs}, indent=1))
         words = [word.replace(JOBS, str(path.absolute())) for word in shlex.split(self._arguments.render)]
-        begin = time.perf_counter()
         try:
             with log.open("wb") as output:
-                code = subprocess.run(words, stdout=output, stderr=subprocess.STDOUT, check=False).returncode
+                return subprocess.run(words, stdout=output, stderr=subprocess.STDOUT, check=False).returncode, log
         except OSError as error:
             reason = error.strerror or error
             raise RunError(f"--render: {words[0]} cannot be started: {reason}; check its name") from error
-        if code:
-            raise RunError(f"--render: the renderer ended with {code}: {log} says why")
-        for job in jobs:
-            if not Path(job["output"]).exists():
-                raise MissingFrameError(f"{job['output']}: the renderer did not write it: {log} may say why")
-        return time.perf_counter() - begin
 
     def _add(self, number: int, half: str, paths: list[Path]) -> None:
         """Merge regions into a half of a frame."""

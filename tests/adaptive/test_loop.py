@@ -94,6 +94,14 @@ def test_a_loop_that_was_stopped_goes_on(tmp_path: Path, fake: str, capsys):
     assert second[: len(first)] == first and not begun
 
 
+def test_a_renderer_that_crashes_goes_on_with_what_is_left(tmp_path: Path, fake: str, capsys):
+    script = Path(shlex.split(fake)[1])
+    script.write_text(FAKE + "    if len(jobs) > 1:\n        raise SystemExit(139)\n")
+    assert loop(tmp_path, fake, "--frames", "1-2", "--samples", "4", "--quality", "10dB", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["done"] == "all tiles have the quality"
+    assert len(json.loads((tmp_path / "clean/loop/round0.json").read_text())["jobs"]) == 1  # the last of four
+
+
 def test_what_goes_wrong_is_said_in_one_line(tmp_path: Path, fake: str, capsys):
     for render, message in (("my_render", "give a command with {jobs}"),
                             ("no_such_program {jobs}", "no_such_program cannot be started"),
