@@ -34,10 +34,20 @@ def set_up(scene):
         layer.use_pass_vector = not scene.render.use_motion_blur
 
 
+def use_samples(cycles, job):
+    """The next samples of the sequence that the first round began, which spread better than those of a new one."""
+    cycles.samples, cycles.seed = job["samples"], job["seed"]
+    cycles.use_sample_subset = "first_sample" in job
+    if cycles.use_sample_subset:
+        cycles.sampling_pattern, cycles.seed = "TABULATED_SOBOL", job["first_seed"]
+        cycles.sample_offset, cycles.sample_subset_length = job["first_sample"], job["samples"]
+        cycles.samples = job["first_sample"] + job["samples"]
+
+
 def render(scene, job):
     """Render one picture or region into a file."""
     scene.frame_set(job["frame"])
-    scene.cycles.samples, scene.cycles.seed = job["samples"], job["seed"]
+    use_samples(scene.cycles, job)
     settings, region = scene.render, job["region"]
     settings.use_border, settings.use_crop_to_border = region is not None, False
     if region:

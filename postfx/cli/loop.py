@@ -110,7 +110,7 @@ class Loop:
                 for half in HALVES:
                     self._file("round0", number, half).replace(self._merged(number, half))
                 self._merge(number)
-            self._finish_round(seconds, 0.0)
+            self._finish_round(seconds, 0.0, self._arguments.samples)
             yield self._line()
         elif self.rounds[-1]["asked"] != self._asked():
             self.rounds[-1] |= self._plan()
@@ -121,10 +121,10 @@ class Loop:
             seconds = self._render(jobs)
             for number in self._numbers:
                 for half in HALVES:
-                    self._add(number, half, [Path(job["output"]) for job in jobs
-                                             if (job["frame"], job["half"]) == (number, half)])
+                    self._add(number, half, [job for job in jobs if (job["frame"], job["half"]) == (number, half)])
                 self._merge(number)
-            self._finish_round(seconds, plan["more_samples"])
+            most = max(region["samples"] for frame in plan["frames"] for region in frame["regions"])
+            self._finish_round(seconds, plan["more_samples"], most)
             yield self._line()
 
     def as_dict(self) -> dict[str, Any]:
@@ -158,8 +158,10 @@ class Loop:
         count = len(self.rounds)
         box = None if region is None else {key: region[key] for key in ("x", "y", "width", "height")}
         shares = (samples + 1) // 2, samples // 2
+        drawn = (sum(one["most_samples"] for one in self.rounds) + 1) // 2
         return [{"frame": number, "half": half, "region": box, "samples": share,
                  "seed": SEEDS * (len(HALVES) * count + index) + number,
+                 "first_seed": SEEDS * index + number, "first_sample": drawn,
                  "output": str(self._file(f"round{count}", number, half, more).absolute())}
                 for index, (half, share) in enumerate(zip(HALVES, shares, strict=True))]
 
@@ -198,12 +200,13 @@ class Loop:
             reason = error.strerror or error
             raise RunError(f"--render: {words[0]} cannot be started: {reason}; check its name") from error
 
-    def _add(self, number: int, half: str, paths: list[Path]) -> None:
+    def _add(self, number: int, half: str, jobs: list[dict[str, Any]]) -> None:
         """Merge regions into a half of a frame."""
         from postfx.io.exr.merge import merge_renders
 
-        if paths:
-            merge_renders([self._merged(number, half), *paths], self._merged(number, half))
+        if jobs:  # headers of Cycles count the samples that were left out before the first one, too
+            merge_renders([self._merged(number, half), *(Path(job["output"]) for job in jobs)],
+                          self._merged(number, half), [None, *(job["samples"] for job in jobs)])
 
     def _merge(self, number: int) -> None:
         """Merge both halves of a frame."""
@@ -211,13 +214,14 @@ class Loop:
 
         merge_renders([self._merged(number, half) for half in HALVES], self._merged(number))
 
-    def _finish_round(self, seconds: float, more: float) -> None:
-        """Denoise what was rendered, plan the next round, and write down where the loop stands."""
+    def _finish_round(self, seconds: float, more: float, most: int) -> None:
+        """Denoise what was rendered, plan the next round, and write down where the loop stands; more, most: samples of
+        the round, in the mean and of any region."""
         begin = time.perf_counter()
         self._denoise("merged", self._arguments.output)
         for half in HALVES:
             self._denoise(half, self._clean(half))
-        self.rounds.append({"more_samples": more, "render_seconds": seconds})
+        self.rounds.append({"more_samples": more, "most_samples": most, "render_seconds": seconds})
         self.rounds[-1] |= self._plan()
         self.rounds[-1]["denoise_seconds"] = time.perf_counter() - begin
         self._write()

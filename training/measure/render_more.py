@@ -2,8 +2,8 @@
 
     python -m training.measure.render_more WORK --cycles water,leaves --mitsuba box,room --blender PYTHON
 
-Each scene is one frame. WORK/SCENE gets independent renders of 4, 4, 8, 16, 32 and 64 samples a pixel, which are merged
-to uniform ones of 4 to 128, a reference, renders with Cycles' adaptive sampling, and a loop that starts at 8 samples and
+Each scene is one frame. WORK/SCENE gets independent renders of 4, 4, 8, 16, 32 and 64 samples a pixel, which are the
+uniform ones, and merged for 128 and for predictions; a reference; renders with Cycles' adaptive sampling, and a loop that starts at 8 samples and
 whose budget doubles them until there are 64. All are denoised by `m`, as single frames. What exists is not rendered
 again.
 
@@ -228,8 +228,8 @@ def measure(scene: Scene, given: argparse.Namespace) -> dict[str, list[list[floa
     """Print a scene's table; returns its shares, and its predictions' ratios, by what they are of."""
     name, judge = scene.folder.name, Judge(scene, given.tile)
     counts = np.cumsum(BLOCKS)
-    curve = [judge.figures(judge.denoise(read(scene.uniform(index))), float(count))
-             for index, count in enumerate(counts)]
+    paths = [scene.block(index) for index in range(1, len(BLOCKS))] + [scene.uniform(len(BLOCKS) - 1)]
+    curve = [judge.figures(judge.denoise(frame), mean_samples(frame)) for frame in map(read, paths)]
     for figures in curve:
         print(row(f"{name} uniform", figures), flush=True)
     found: dict[str, list[list[float]]] = {}
