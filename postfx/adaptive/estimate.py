@@ -1,23 +1,24 @@
 """The expected squared error of denoised pixels, in display code values: read from files, or estimated.
 
-A network that predicts it writes a plane `error`. Without one there are two ways, docs/lab/render_more.md compares them.
+A network that predicts it writes a plane `error`. Without one there are two ways, docs/lab/render_more.md compares
+them.
 
-Two renders A and B of the frame, with different seeds, measure it. A denoised, D(A), knows nothing of the noise of B, so
-(D(A) - B)^2 holds the error of D(A) and the noise of B; (D(B) - A)^2 the other way round; and (A - B)^2 / 2 holds the
-noise of both. What is left of the mean of the first two after taking the last away is the error, noise and bias of the
-denoiser together, in the mean over many pixels. Nothing in it is fitted. With M the mean of D(A) and D(B), and d their
-distance from it, that is d^2 + d ((A - M) - (B - M)) + (A - M) (B - M), of light times the slope of the display curve.
-In one tile that is too noisy where renders are: what counts is its ratio to the variance of D(A) and D(B), over a tile and
-those around it, times that variance, which is known well.
+Two renders A and B of the frame, with different seeds, measure it. A denoised, D(A), knows nothing of the noise of B,
+so (D(A) - B)^2 holds the error of D(A) and the noise of B; (D(B) - A)^2 the other way round; and (A - B)^2 / 2 holds
+the noise of both. What is left of the mean of the first two after taking the last away is the error, noise and bias
+of the denoiser together, in the mean over many pixels. Nothing in it is fitted. With M the mean of D(A) and D(B), and
+d their distance from it, that is d^2 + d ((A - M) - (B - M)) + (A - M) (B - M), of light times the slope of the
+display curve. In one tile that is too noisy where renders are: what counts is its ratio to the variance of D(A) and
+D(B), over a tile and those around it, times that variance, which is known well.
 
-That is the error E of a half. Both together have a smaller one, and how much smaller shows where they are denoised: C is
-the squared difference of that picture from M. Their error is near CHANGE_SHARE E^(1 - CHANGE_POWER) C^CHANGE_POWER. C has
-less noise than E, too.
+That is the error E of a half. Both together have a smaller one, and how much smaller shows where they are denoised: C
+is the squared difference of that picture from M. Their error is near CHANGE_SHARE E^(1 - CHANGE_POWER)
+C^CHANGE_POWER. C has less noise than E, too.
 
 One render alone says less: the second differences of its pixels, before and after denoising, in code values (exposed,
-x / (1 + x), sRGB), squared and averaged around each pixel. Before, they show noise and detail together; after, the detail
-that the denoiser found. Where there is much of both it errs most. The error of a tile is near
-SHARE before^BEFORE_POWER after^AFTER_POWER, with constants that are fitted to tiles of scenes with references.
+x / (1 + x), sRGB), squared and averaged around each pixel. Before, they show noise and detail together; after, the
+detail that the denoiser found. Where there is much of both it errs most. The error of a tile is near SHARE
+before^BEFORE_POWER after^AFTER_POWER, with constants that are fitted to tiles of scenes with references.
 """
 
 from __future__ import annotations
@@ -92,12 +93,12 @@ def estimate_from_halves(
 ) -> np.ndarray:
     """Expected squared error of both halves together, denoised: for each pixel (height, width) that of its tile.
 
-    halves: colours (height, width, 3) of renders with different seeds, and about as many samples each; denoised: each of
-    them denoised alone, then both together; side: of the tiles in pixels. Raises FrameError where sizes differ.
+    halves: colours (height, width, 3) of renders with different seeds, and about as many samples each; denoised: each
+    of them denoised alone, then both together; side: of the tiles in pixels. Raises FrameError where sizes differ.
     """
     if len({colour.shape for colour in (*halves, *denoised)}) > 1:
-        raise FrameError("halves of a shot and their denoised frames have several sizes: render both alike, and denoise "
-                         "them at the render's size")
+        raise FrameError("halves of a shot and their denoised frames have several sizes: render both alike, and "
+                         "denoise them at the render's size")
     half = error_of_half(halves, (denoised[0], denoised[1]), exposure_factor, side)
     codes, codes_other, codes_whole = (to_codes(colour, exposure_factor) for colour in denoised)
     change = tile_means(np.square((codes + codes_other) / 2 - codes_whole), side) + LEAST

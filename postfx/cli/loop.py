@@ -22,8 +22,8 @@ the quality, the budget is used up, or all rounds are done. Any renderer takes p
 the pictures and regions of a JSON file, whose name replaces {jobs}. Scripts for Blender and Mitsuba come with postfx;
 docs/howto/render_more.md describes the file for others.
 
-Everything is rendered in two halves with different seeds. Each half, denoised, is compared with the other: that measures
-the error. With --budget a round renders at most as many samples as there are, the last one what is left.
+Everything is rendered in two halves with different seeds. Each half, denoised, is compared with the other: that
+measures the error. With --budget a round renders at most as many samples as there are, the last one what is left.
 
 OUTPUT always holds the denoised frames of the last round. The merged renders and a log are in --work. A loop that was
 stopped goes on from there, and further with a larger budget or more rounds. Options of 'postfx run' may follow --.
@@ -39,8 +39,8 @@ examples:
 JOBS = "{jobs}"
 HALVES = ("half1", "half2")
 SEEDS = 1009
-"""Seeds between two halves of a round, so that no frame has the seed of another one of an earlier half, in shots that are
-not longer."""
+"""Seeds between two halves of a round, so that no frame has the seed of another one of an earlier half, in shots that
+are not longer."""
 
 LOOP = Options(Section("", (
     Option(flag="--render", metavar="COMMAND", help="renders what the JSON file {jobs} lists"),
@@ -250,7 +250,8 @@ class Loop:
         given = self._arguments
         one, other = (str(self._work / half / "####.exr") for half in HALVES)
         words = ["samples", one, "--halves", other, "--denoised", *map(self._clean, HALVES),
-                 given.output, f"--frames={given.frames}", "--quality", given.quality, "--tile", str(given.tile), "--json"]
+                 given.output, f"--frames={given.frames}", "--quality", given.quality, "--tile", str(given.tile),
+                 "--json"]
         used = sum(one["more_samples"] for one in self.rounds)
         if given.budget is not None:
             left = max(given.budget - used, 0)

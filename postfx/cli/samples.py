@@ -23,10 +23,10 @@ Say how many more samples each tile of a shot needs until its denoised frames ha
 perfect render, on the display: 'visible' (36 dB), 'draft' (30 dB), 'fine' (42 dB), or 38dB; or a FLIP like flip=0.05.
 With --budget the samples go where they lower the error of the shot most, or its FLIP if that is the quality.
 
-INPUT are the renders before denoising. The error of the denoised frames is measured where --halves gives as many samples
-again with another seed: each half, denoised, is compared with the other. Else it comes from a plane 'error' in INPUT or
---error, or is guessed from what the denoiser takes away, often wrong by a factor of two. Frames are denoised for it,
-unless --denoised names the result.
+INPUT are the renders before denoising. The error of the denoised frames is measured where --halves gives as many
+samples again with another seed: each half, denoised, is compared with the other. Else it comes from a plane 'error' in
+INPUT or --error, or is guessed from what the denoiser takes away, often wrong by a factor of two. Frames are denoised
+for it, unless --denoised names the result.
 
 OUTPUT are EXR files with the planes samples.Y (more samples), error.Y (expected squared error now) and after.Y (with
 these samples). --json prints rectangles to render for a farm or a script.
@@ -55,8 +55,8 @@ SAMPLES = Options(Section("", (
            excludes={"--error": "{flag} and --error both tell the error: give one of them"},
            help="INPUT rendered again with another seed and as many samples: both together are the shot"),
     Option(flag="--denoised", metavar="FRAMES", is_file=True, several=True,
-           help="INPUT denoised at its own size; with --halves three: INPUT, --halves and both merged (default: denoise "
-                "them here)"),
+           help="INPUT denoised at its own size; with --halves three: INPUT, --halves and both merged (default: "
+                "denoise them here)"),
     Option(flag="--samples", metavar="N", type=parse_positive,
            help="samples a pixel of INPUT (default: by its header)"),
     Option(flag="--seconds", metavar="S", type=parse_from_zero,

@@ -144,8 +144,8 @@ def test_the_estimate_is_higher_where_there_is_more_noise_and_keeps_its_place():
 
 
 def denoised_halves(bias: float, seed: int = 1) -> tuple:
-    """A picture, two halves of its samples, and what a denoiser makes of each and of both: it keeps a part of the noise,
-    and is wrong by a pattern, which is smaller with all samples."""
+    """A picture, two halves of its samples, and what a denoiser makes of each and of both: it keeps a part of the
+    noise, and is wrong by a pattern, which is smaller with all samples."""
     random, rows = np.random.default_rng(seed), np.arange(128)
     truth = np.full((128, 128, 3), 0.3)
     wrong = bias * np.sin(rows / 3)[:, None, None] * np.linspace(0, 2, 128)[:, None]

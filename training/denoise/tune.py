@@ -9,8 +9,8 @@ linear: there the error is squared and divided by the squared brightness of the 
 References may hold tiles only: with a plane of sample counts, pixels with less than half of the most samples do not
 count. Where such tiles are small, windows are smaller, and there are more of them.
 
-A quarter is held back: frames where there are four or more targets, else the right quarter of the pixels that count. The
-best of several mixtures of old and new weights counts, as a mixture forgets less. If it does not gain, nothing is
+A quarter is held back: frames where there are four or more targets, else the right quarter of the pixels that count.
+The best of several mixtures of old and new weights counts, as a mixture forgets less. If it does not gain, nothing is
 written.
 """
 

@@ -3,18 +3,18 @@
     python -m training.measure.render_more WORK --cycles water,leaves --mitsuba box,room --blender PYTHON
 
 Each scene is one frame. WORK/SCENE gets independent renders of 4, 4, 8, 16, 32 and 64 samples a pixel, which are the
-uniform ones, and merged for 128 and for predictions; a reference; renders with Cycles' adaptive sampling, and a loop that starts at 8 samples and
-whose budget doubles them until there are 64. All are denoised by `m`, as single frames. What exists is not rendered
-again.
+uniform ones, and merged for 128 and for predictions; a reference; renders with Cycles' adaptive sampling, and a loop
+that starts at 8 samples and whose budget doubles them until there are 64. All are denoised by `m`, as single frames.
+What exists is not rendered again.
 
 Prints for each scene and each number of samples: PSNR, mean FLIP and the FLIP that nine of ten tiles stay below, of
 uniform sampling; for the loop and for adaptive sampling their samples as a share of the uniform ones with the same
-figure, by interpolation; and the share of tiles whose error was predicted within a quarter and within a factor of two,
-from two halves and from the noise alone.
+figure, by interpolation; and the share of tiles whose error was predicted within a quarter and within a factor of two:
+from two halves, from the error of one half alone, which falls with the root of the samples, and from the noise.
 
 References have noise of their own, which would hide small errors. FLIP compares with the denoised reference. Squared
-errors are those to the reference without its noise, which its distance from the largest uniform render tells; tiles where
-it is more than a third of the error do not count for predictions, nor do those that are right within 60 dB.
+errors are those to the reference without its noise, which its distance from the largest uniform render tells. Tiles
+where it is more than a third of the error do not count for predictions, nor do those that are right within 60 dB.
 
 PYTHON is an interpreter with the module bpy. Cycles' scenes are those of training/measure/validation, Mitsuba's are
 mitsuba_NAME.py there.
@@ -36,8 +36,8 @@ from pathlib import Path
 import numpy as np
 
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, read_sequence
-from postfx.adaptive.estimate import estimate_error, estimate_from_halves
-from postfx.adaptive.plan import tile_sums
+from postfx.adaptive.estimate import error_of_half, estimate_error, estimate_from_halves
+from postfx.adaptive.plan import SLOPE, tile_sums
 from postfx.bench.metrics import grey_factor
 from postfx.cli.main import main as postfx
 from postfx.colour.views import to_codes
@@ -162,19 +162,20 @@ class Judge:
         """Means of a plane's tiles."""
         return (tile_sums(plane, self._tile) / tile_sums(np.ones_like(plane), self._tile)).ravel()
 
-    def predicted(self, scene: Scene, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Over what was measured, by tile: the error predicted from two halves, and from the noise alone."""
+    def predicted(self, scene: Scene, index: int) -> dict[str, np.ndarray]:
+        """Way to predict -> the predicted error of the tiles over what was measured."""
         halves = [read(scene.uniform(index - 1)), read(scene.block(index))]
         whole = read(scene.uniform(index))
         colour = self.denoise(whole)
         error, noise = self.tiles(self.error(colour)), self.tiles(self._noise)
         is_clear = (error > noise * (MOST_NOISE - 1)) & (error > DONE)
         colours = halves[0][Role.COLOUR], halves[1][Role.COLOUR]
-        denoised = self.denoise(halves[0]), self.denoise(halves[1]), colour
-        found = (estimate_from_halves(colours, denoised, self.exposure, self._tile),
-                 estimate_error(whole, colour, self.exposure))
-        one, other = (self.tiles(made)[is_clear] / error[is_clear] for made in found)
-        return one, other
+        clean = self.denoise(halves[0]), self.denoise(halves[1])
+        both = estimate_from_halves(colours, (*clean, colour), self.exposure, self._tile)
+        half = error_of_half(colours, clean, self.exposure, self._tile).ravel() / 2**SLOPE
+        found = {"halves": self.tiles(both), "one half": half,
+                 "noise": self.tiles(estimate_error(whole, colour, self.exposure))}
+        return {name: made[is_clear] / error[is_clear] for name, made in found.items()}
 
 
 def read(path: Path) -> Frame:
@@ -193,7 +194,8 @@ def call(words: Sequence[str]) -> None:
     """Run a renderer, whose output matters only if it fails."""
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise SystemExit(f"{shlex.join(words)}: exit code {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
+        said = f"{done.stdout[-2000:]}{done.stderr[-2000:]}"
+        raise SystemExit(f"{shlex.join(words)}: exit code {done.returncode}\n{said}")
 
 
 def equivalent(counts: Sequence[float], values: Sequence[float], value: float) -> float:
@@ -215,7 +217,7 @@ def shares(curve: Sequence[Figures], figures: Figures) -> list[float]:
 
 def within(ratios: np.ndarray, factor: float) -> float:
     """Share of ratios that lie within a factor of 1."""
-    return float((np.abs(np.log(ratios)) <= np.log(factor)).mean())
+    return float((np.abs(np.log(ratios)) <= np.log(factor)).mean()) if len(ratios) else float("nan")
 
 
 def row(name: str, figures: Figures, ratios: Sequence[float] = ()) -> str:
@@ -241,16 +243,18 @@ def measure(scene: Scene, given: argparse.Namespace) -> dict[str, list[list[floa
         print(row(f"{name} loop", figures, found[f"loop {samples}"][0]), flush=True)
     for path in sorted(scene.folder.glob("adaptive.*.exr")):
         render = read(path)
+        if np.ptp(render[Role.SAMPLE_COUNT]) == 0:  # it ended early everywhere, and Cycles does not say with how many
+            continue
         figures = judge.figures(judge.denoise(render), mean_samples(render))
         found.setdefault("adaptive", []).append(shares(curve, figures))
         print(row(f"{name} {path.stem}", figures, found["adaptive"][-1]), flush=True)
     for index in range(1, len(BLOCKS)):
-        pair = judge.predicted(scene, index)
-        for key, ratios in zip(("halves", "noise"), pair, strict=True):
+        ways = judge.predicted(scene, index)
+        for key, ratios in ways.items():
             found.setdefault(key, []).append(ratios.tolist())
-        print(f"{name} {counts[index]} samples, tiles predicted within {NEAR}, {FAR}: halves "
-              f"{within(pair[0], NEAR):.0%} {within(pair[0], FAR):.0%}, noise {within(pair[1], NEAR):.0%} "
-              f"{within(pair[1], FAR):.0%}", flush=True)
+        told = ", ".join(f"{key} {within(ratios, NEAR):.0%} {within(ratios, FAR):.0%}" for key, ratios in ways.items())
+        print(f"{name} {counts[index]} samples, {len(ways['halves'])} tiles predicted within {NEAR}, {FAR}: {told}",
+              flush=True)
     return found
 
 
@@ -291,8 +295,8 @@ def main() -> None:
     found = [measure(scene, given) for scene in scenes(given)]
     for key in (f"loop {samples}" for samples in given.samples):
         print(f"mean of {key}:", *(f"{value:.2f}" for value in np.nanmean([one[key][0] for one in found], axis=0)))
-    for key in ("halves", "noise"):
-        ratios = np.concatenate([np.ravel(one[key]) for one in found])
+    for key in ("halves", "one half", "noise"):
+        ratios = np.concatenate([ratios for one in found for ratios in one[key]])
         print(f"tiles predicted from {key} within {NEAR}: {within(ratios, NEAR):.0%}, within {FAR}: "
               f"{within(ratios, FAR):.0%}; half of them within {np.exp(np.median(np.abs(np.log(ratios)))):.2f}")
 

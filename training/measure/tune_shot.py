@@ -6,7 +6,7 @@
 Without --halves the network learns from tiles of 32 pixels of the references of the frames --clean, at random places,
 3 % of the shot's pixels, and is judged on the other frames. With --halves it learns from a second render alone, and is
 judged on all frames. References of twice the size are averaged. Prints PSNR in dB and FLIP of `s` and of the tuned
-network, which runs over the whole shot.
+network, which runs over the whole shot. A network that is in WORK is not trained again.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,17 @@ def write_tiles(references: dict[int, np.ndarray], count: int, folder: Path) -> 
     return f"{folder}/clean.####.exr"
 
 
+def tune(noisy: str, target: list[str], network: Path, minutes: float) -> dict[str, Any]:
+    """Run `postfx tune`; returns what it tells."""
+    words = [sys.executable, "-m", "training.denoise.tune", noisy, *target, "-o", str(network), "--minutes",
+             str(minutes), "--json"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    if done.returncode > 1:
+        raise SystemExit(done.stderr)
+    facts: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return facts
+
+
 def score(shot: Sequence, references: dict[int, np.ndarray], model: str) -> np.ndarray:
     """PSNR and FLIP of the frames with references, by frame (frames, 2), of a network that runs over the shot."""
     pipeline, found = Pipeline([DenoiseUpscale(scale=1.0, model=model)], Device("cpu")), []
@@ -94,16 +106,12 @@ def main() -> None:
         target = ["--references", write_tiles({number: references[number] for number in seen}, count, folder)]
         references = {number: colour for number, colour in references.items() if number not in seen}
     network = folder / "tuned.onnx"
-    words = [sys.executable, "-m", "training.denoise.tune", given.noisy, *target, "-o", str(network), "--overwrite",
-             "--minutes", str(given.minutes), "--json"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    if done.returncode > 1:
-        raise SystemExit(done.stderr)
-    facts = json.loads(done.stdout.splitlines()[-1])
+    facts = json.loads(network.with_suffix(".json").read_text())["training"] if network.exists() else \
+        tune(given.noisy, target, network, given.minutes)
     before = score(shot, references, "s.fp32").mean(axis=0)
-    after = score(shot, references, str(network)).mean(axis=0) if facts["written"] else before
+    after = score(shot, references, str(network)).mean(axis=0) if network.exists() else before
     print(f"{given.name} from {facts['target']}: {facts['steps']} steps in {facts['minutes']:.1f} minutes, held back "
-          f"{facts['gain_db']:+.2f} dB, {'written' if facts['written'] else 'not written'}; {len(references)} frames: "
+          f"{facts['gain_db']:+.2f} dB, {'written' if network.exists() else 'not written'}; {len(references)} frames: "
           f"s {before[0]:.2f} dB {before[1]:.4f}, tuned {after[0]:.2f} dB {after[1]:.4f}, "
           f"gain {after[0] - before[0]:+.2f} dB", flush=True)
 
