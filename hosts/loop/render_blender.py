@@ -5,7 +5,8 @@
 
 Regions are border renders at full size, so each file says by its plane of sample counts what it holds. Blender's own
 denoiser, adaptive sampling and the compositor are off, since postfx denoises, chooses samples and merges what comes
-from the renderer itself.
+from the renderer itself. Blender 5.0.1 crashes now and then when it keeps a scene between renders; the loop
+then starts it again for what is left.
 """
 
 import json
@@ -21,7 +22,7 @@ def set_up(scene):
     scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_animated_seed = False
     scene.render.use_compositing = scene.render.use_sequencer = False
-    scene.render.use_persistent_data = False  # Blender 5.0.1 crashes with it now and then on a CPU
+    scene.render.use_persistent_data = True  # else each region costs as much as a scene takes to load
     image = scene.render.image_settings
     if "media_type" in image.bl_rna.properties:  # since Blender 5
         image.media_type = "MULTI_LAYER_IMAGE"
@@ -33,10 +34,20 @@ def set_up(scene):
         layer.use_pass_vector = not scene.render.use_motion_blur
 
 
+def use_samples(cycles, job):
+    """The next samples of the sequence that the first round began, which spread better than those of a new one."""
+    cycles.samples, cycles.seed = job["samples"], job["seed"]
+    cycles.use_sample_subset = "first_sample" in job
+    if cycles.use_sample_subset:
+        cycles.sampling_pattern, cycles.seed = "TABULATED_SOBOL", job["first_seed"]
+        cycles.sample_offset, cycles.sample_subset_length = job["first_sample"], job["samples"]
+        cycles.samples = job["first_sample"] + job["samples"]
+
+
 def render(scene, job):
     """Render one picture or region into a file."""
     scene.frame_set(job["frame"])
-    scene.cycles.samples, scene.cycles.seed = job["samples"], job["seed"]
+    use_samples(scene.cycles, job)
     settings, region = scene.render, job["region"]
     settings.use_border, settings.use_crop_to_border = region is not None, False
     if region:
@@ -61,4 +72,5 @@ def main():
         render(scene, job)
 
 
-main()
+if __name__ == "__main__":
+    main()

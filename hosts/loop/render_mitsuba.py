@@ -62,8 +62,12 @@ def main():
     set_variant()
     drjit.set_thread_count(max(drjit.thread_count(), LEAST_THREADS))
     source, jobs = sys.argv[1:]
+    frame = scene = None
     for job in json.loads(Path(jobs).read_text())["jobs"]:
-        render(load(source, job["frame"]), job)
+        if job["frame"] != frame:
+            frame, scene = job["frame"], load(source, job["frame"])
+        render(scene, job)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -4,7 +4,8 @@ The expected squared error of a denoised pixel falls with its samples as n ** -S
 denoiser has removed most of the noise already. A tile needs samples until its error is at the quality that is asked
 for. A budget that does not suffice for that goes where it lowers the error of the shot most: the sum of the errors
 e n^a (n + m)^-a over tiles is least, for a given sum of m, where all tiles with more samples have the same gain of a
-further one, so n + m is proportional to (e n^a)^(1 / (1 + a)).
+further one, so n + m is proportional to (e n^a)^(1 / (1 + a)). A quality in FLIP sums that in place of squared errors:
+within a scene FLIP goes with a power of them, and so do both e and n^-a.
 """
 
 from __future__ import annotations
@@ -25,16 +26,22 @@ FEWEST = 4
 """Samples below which a render of a tile does not pay."""
 QUALITIES = {"draft": 30.0, "visible": 36.0, "fine": 42.0}
 """Word -> PSNR of the displayed picture in dB, which each tile is to reach."""
+FLIP_POWER = 0.4
+"""By which power of squared errors FLIP goes, over tiles and with more samples: see docs/lab/render_more.md."""
 FLIP_AT = {30.0: 0.086, 36.0: 0.052, 42.0: 0.031}
 """PSNR of a denoised tile -> its mean FLIP, to which 'flip=' refers."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """The error that is good enough: a squared error of display code values, and the words that asked for it."""
+    """The error that is good enough: a squared error of display code values, and the words that asked for it.
+
+    power: of squared errors whose sum a budget makes least.
+    """
 
     words: str
     error: float
+    power: float = 1.0
 
     @property
     def psnr(self) -> float:
@@ -60,7 +67,7 @@ def parse_quality(text: str) -> Quality:
         level = float(max(FLIP_AT) + slope * (np.log(float(found[2])) - places[0]))
     else:
         raise OptionError(f"--quality {text}: give {', '.join(QUALITIES)}, a PSNR like 38dB, or a FLIP like flip=0.05")
-    return Quality(text.lower(), 10 ** (-level / 10))
+    return Quality(text.lower(), 10 ** (-level / 10), FLIP_POWER if text.lower().startswith("flip") else 1.0)
 
 
 @dataclass(frozen=True)
@@ -121,6 +128,12 @@ def tile_sums(plane: np.ndarray, side: int) -> np.ndarray:
     return np.asarray(np.add.reduceat(rows, np.arange(0, plane.shape[1], side), axis=1))
 
 
+def tile_means(plane: np.ndarray, side: int) -> np.ndarray:
+    """Means over tiles of a plane (height, width, channels) and of its channels."""
+    mean: np.ndarray = tile_sums(plane.mean(axis=2), side) / tile_sums(np.ones(plane.shape[:2]), side)
+    return mean
+
+
 def plan_samples(shot: Sequence[Tiles], quality: Quality, budget: float | None = None) -> list[np.ndarray]:
     """More samples a pixel for the tiles of each frame: powers of two, 0 for tiles that are done.
 
@@ -134,9 +147,9 @@ def plan_samples(shot: Sequence[Tiles], quality: Quality, budget: float | None =
     def share(level: float) -> list[np.ndarray]:
         found = []
         for tiles, most in zip(shot, needed, strict=True):
-            power = 1 / (1 + SLOPE)
-            worth = level * (np.maximum(tiles.errors, 0) * tiles.counted / tiles.areas) ** power
-            wanted = worth * tiles.samples ** (SLOPE * power) - tiles.samples
+            slope = SLOPE * quality.power
+            weight = np.maximum(tiles.errors, 0) ** quality.power * tiles.counted / tiles.areas
+            wanted = level * (weight * tiles.samples**slope) ** (1 / (1 + slope)) - tiles.samples
             found.append(in_steps(np.clip(wanted, 0, most), up=False))
         return found
 

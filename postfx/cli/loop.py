@@ -22,8 +22,11 @@ the quality, the budget is used up, or all rounds are done. Any renderer takes p
 the pictures and regions of a JSON file, whose name replaces {jobs}. Scripts for Blender and Mitsuba come with postfx;
 docs/howto/render_more.md describes the file for others.
 
+Everything is rendered in two halves with different seeds. Each half, denoised, is compared with the other: that
+measures the error. With --budget a round renders at most as many samples as there are, the last one what is left.
+
 OUTPUT always holds the denoised frames of the last round. The merged renders and a log are in --work. A loop that was
-stopped goes on from there. Options of 'postfx run' may follow --.
+stopped goes on from there, and further with a larger budget or more rounds. Options of 'postfx run' may follow --.
 """
 EXAMPLES = """\
 examples:
@@ -34,9 +37,10 @@ examples:
   postfx loop --frames 1-8 --samples 16 -o 'clean/####.exr' --render 'my_farm.sh {jobs}' -- --model l
 """
 JOBS = "{jobs}"
+HALVES = ("half1", "half2")
 SEEDS = 1009
-"""Seeds between two rounds, so that no frame of a later round has the seed of another one of an earlier round, in shots
-that are not longer."""
+"""Seeds between two halves of a round, so that no frame has the seed of another one of an earlier half, in shots that
+are not longer."""
 
 LOOP = Options(Section("", (
     Option(flag="--render", metavar="COMMAND", help="renders what the JSON file {jobs} lists"),
@@ -80,6 +84,8 @@ class Loop:
 
         if not arguments.render or JOBS not in arguments.render:
             raise OptionError("--render: give a command with {jobs} in it, such as --render 'my_render {jobs}'")
+        if arguments.samples < len(HALVES):
+            raise OptionError(f"--samples {arguments.samples}: two halves need 2 or more, such as 16")
         if not arguments.output:
             raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o 'clean/####.exr'")
         pattern = parse_pattern(arguments.output)
@@ -98,25 +104,34 @@ class Loop:
     def run(self) -> Any:
         """All rounds; yields a line for each."""
         if not self.rounds:
-            seconds = self._render([self._job(number, 0, None, self._arguments.samples) for number in self._numbers], 0)
+            seconds = self._render([job for number in self._numbers
+                                    for job in self._jobs(number, None, self._arguments.samples)])
             for number in self._numbers:
-                self._file("round0", number).replace(self._merged(number))
-            self._finish_round(seconds, 0.0)
+                for half in HALVES:
+                    self._file("round0", number, half).replace(self._merged(number, half))
+                self._merge(number)
+            self._finish_round(seconds, 0.0, self._arguments.samples)
             yield self._line()
+        elif self.rounds[-1]["asked"] != self._asked():
+            self.rounds[-1] |= self._plan()
         while not (self.done or self._is_done()):
-            count, plan = len(self.rounds), self._plan
-            jobs = [self._job(frame["frame"], count, region, region["samples"], index)
-                    for frame in plan["frames"] for index, region in enumerate(frame["regions"])]
-            seconds = self._render(jobs, count)
+            plan = self.rounds[-1]["plan"]
+            jobs = [job for frame in plan["frames"] for index, region in enumerate(frame["regions"])
+                    for job in self._jobs(frame["frame"], region, region["samples"], f".region{index}")]
+            seconds = self._render(jobs)
             for number in self._numbers:
-                self._merge(number, [Path(job["output"]) for job in jobs if job["frame"] == number])
-            self._finish_round(seconds, plan["more_samples"])
+                for half in HALVES:
+                    self._add(number, half, [job for job in jobs if (job["frame"], job["half"]) == (number, half)])
+                self._merge(number)
+            most = max(region["samples"] for frame in plan["frames"] for region in frame["regions"])
+            self._finish_round(seconds, plan["more_samples"], most)
             yield self._line()
 
     def as_dict(self) -> dict[str, Any]:
         """The loop for programs."""
+        rounds = [{key: value for key, value in one.items() if key not in ("plan", "asked")} for one in self.rounds]
         return {"output": self._arguments.output, "renders": str(self._work / "merged"), "done": self.done,
-                "rounds": [{key: value for key, value in one.items() if key != "plan"} for one in self.rounds]}
+                "rounds": rounds}
 
     def text(self) -> str:
         """The loop for people."""
@@ -124,18 +139,13 @@ class Loop:
         return (f"wrote    {self._arguments.output}: {last['samples']:.1f} samples a pixel in the mean, about "
                 f"{last['psnr']:.1f} dB; {self.done}")
 
-    @property
-    def _plan(self) -> dict[str, Any]:
-        found: dict[str, Any] = self.rounds[-1]["plan"]
-        return found
-
     def _is_done(self) -> bool:
         """Whether nothing is left to render, and why."""
-        if not any(frame["regions"] for frame in self._plan["frames"]):
-            is_reached = self._plan["tiles_done"] >= 1
-            self.done = "all tiles have the quality" if is_reached else "the budget is used up"
+        plan = self.rounds[-1]["plan"]
+        if not any(frame["regions"] for frame in plan["frames"]):
+            self.done = "all tiles have the quality" if plan["tiles_done"] >= 1 else "the budget is used up"
         elif len(self.rounds) > self._arguments.rounds:
-            self.done = f"all rounds are done, and {self._plan['tiles_done']:.0%} of the tiles would be after another"
+            self.done = f"all rounds are done, and {plan['tiles_done']:.0%} of the tiles would be after another"
         return bool(self.done)
 
     def _line(self) -> str:
@@ -143,79 +153,131 @@ class Loop:
         return (f"round {len(self.rounds) - 1}: {last['samples']:.1f} samples a pixel, about {last['psnr']:.1f} dB, "
                 f"{last['render_seconds']:.0f} s of rendering, {last['denoise_seconds']:.0f} s of denoising")
 
-    def _job(self, number: int, count: int, region: dict[str, int] | None, samples: int, index: int = 0
-             ) -> dict[str, Any]:
-        """One picture or region to render."""
-        path = self._file(f"round{count}", number, "" if region is None else f".region{index}")
+    def _jobs(self, number: int, region: dict[str, int] | None, samples: int, more: str = "") -> list[dict[str, Any]]:
+        """One picture or region to render: a job for each half."""
+        count = len(self.rounds)
         box = None if region is None else {key: region[key] for key in ("x", "y", "width", "height")}
-        return {"frame": number, "region": box, "samples": samples, "seed": SEEDS * count + number,
-                "output": str(path.absolute())}
+        shares = (samples + 1) // 2, samples // 2
+        drawn = (sum(one["most_samples"] for one in self.rounds) + 1) // 2
+        return [{"frame": number, "half": half, "region": box, "samples": share,
+                 "seed": SEEDS * (len(HALVES) * count + index) + number,
+                 "first_seed": SEEDS * index + number, "first_sample": drawn,
+                 "output": str(self._file(f"round{count}", number, half, more).absolute())}
+                for index, (half, share) in enumerate(zip(HALVES, shares, strict=True))]
 
-    def _render(self, jobs: list[dict[str, Any]], count: int) -> float:
-        """Let the renderer work; returns the seconds that it took."""
+    def _render(self, jobs: list[dict[str, Any]]) -> float:
+        """Let the renderer work, again where it ended early but got on; returns the seconds that it took."""
         from postfx.errors import MissingFrameError, RunError
+
+        begin = time.perf_counter()
+        for job in jobs:
+            path = Path(job["output"])
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.unlink(missing_ok=True)
+        left, code = jobs, 1
+        while left and code:
+            before, (code, log) = len(left), self._call(left)
+            left = [job for job in left if not Path(job["output"]).exists()]
+            if code and len(left) == before:
+                raise RunError(f"--render: the renderer ended with {code}: {log} says why")
+        if left:
+            raise MissingFrameError(f"{left[0]['output']}: the renderer did not write it: {log} may say why")
+        return time.perf_counter() - begin
+
+    def _call(self, jobs: list[dict[str, Any]]) -> tuple[int, Path]:
+        """Start the renderer; returns its exit code and the log of what it said."""
+        from postfx.errors import RunError
         from postfx.files import write_text
 
+        count = len(self.rounds)
         path, log = self._work / f"round{count}.json", self._work / f"round{count}.log"
-        for job in jobs:
-            Path(job["output"]).parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps({"jobs": jobs}, indent=1))
         words = [word.replace(JOBS, str(path.absolute())) for word in shlex.split(self._arguments.render)]
-        begin = time.perf_counter()
         try:
             with log.open("wb") as output:
-                code = subprocess.run(words, stdout=output, stderr=subprocess.STDOUT, check=False).returncode
+                return subprocess.run(words, stdout=output, stderr=subprocess.STDOUT, check=False).returncode, log
         except OSError as error:
             reason = error.strerror or error
             raise RunError(f"--render: {words[0]} cannot be started: {reason}; check its name") from error
-        if code:
-            raise RunError(f"--render: the renderer ended with {code}: {log} says why")
-        for job in jobs:
-            if not Path(job["output"]).exists():
-                raise MissingFrameError(f"{job['output']}: the renderer did not write it: {log} may say why")
-        return time.perf_counter() - begin
 
-    def _merge(self, number: int, paths: list[Path]) -> None:
-        """Merge regions into a frame's render."""
+    def _add(self, number: int, half: str, jobs: list[dict[str, Any]]) -> None:
+        """Merge regions into a half of a frame."""
         from postfx.io.exr.merge import merge_renders
 
-        if paths:
-            merge_renders([self._merged(number), *paths], self._merged(number))
+        if jobs:  # headers of Cycles count the samples that were left out before the first one, too
+            merge_renders([self._merged(number, half), *(Path(job["output"]) for job in jobs)],
+                          self._merged(number, half), [None, *(job["samples"] for job in jobs)])
 
-    def _finish_round(self, seconds: float, more: float) -> None:
-        """Denoise what was rendered, plan the next round, and write down where the loop stands."""
-        from postfx.cli.main import make_parser
-        from postfx.cli.samples import SamplesJob
-        from postfx.files import write_text
+    def _merge(self, number: int) -> None:
+        """Merge both halves of a frame."""
+        from postfx.io.exr.merge import merge_renders
 
+        merge_renders([self._merged(number, half) for half in HALVES], self._merged(number))
+
+    def _finish_round(self, seconds: float, more: float, most: int) -> None:
+        """Denoise what was rendered, plan the next round, and write down where the loop stands; more, most: samples of
+        the round, in the mean and of any region."""
         begin = time.perf_counter()
-        renders = str(self._work / "merged" / "####.exr")
-        used = sum(one["more_samples"] for one in self.rounds) + more
-        words = ["run", renders, "-o", self._arguments.output, f"--frames={self._arguments.frames}", "--overwrite",
-                 "--scale", "1", "--quiet", *self._arguments.forwarded]
+        self._denoise("merged", self._arguments.output)
+        for half in HALVES:
+            self._denoise(half, self._clean(half))
+        self.rounds.append({"more_samples": more, "most_samples": most, "render_seconds": seconds})
+        self.rounds[-1] |= self._plan()
+        self.rounds[-1]["denoise_seconds"] = time.perf_counter() - begin
+        self._write()
+
+    def _denoise(self, renders: str, output: str) -> None:
+        """Denoise all frames of a folder of renders."""
+        from postfx.cli.main import make_parser
+
+        words = ["run", str(self._work / renders / "####.exr"), "-o", output, f"--frames={self._arguments.frames}",
+                 "--overwrite", "--scale", "1", "--quiet", *self._arguments.forwarded]
         given = make_parser(["run"]).parse_args(words)
         given.words = words
         with redirect_stdout(io.StringIO()):
             given.execute(given)
-        words = ["samples", renders, "--denoised", self._arguments.output, f"--frames={self._arguments.frames}",
-                 "--quality", self._arguments.quality, "--tile", str(self._arguments.tile), "--json"]
-        if self._arguments.budget is not None:
-            words += ["--budget", str(max(self._arguments.budget - used, 0))]
+
+    def _asked(self) -> dict[str, Any]:
+        """What a plan depends on, beside the renders."""
+        given = self._arguments
+        return {"quality": given.quality, "budget": given.budget, "tile": given.tile, "rounds": given.rounds}
+
+    def _plan(self) -> dict[str, Any]:
+        """Plan the next round."""
+        from postfx.cli.main import make_parser
+        from postfx.cli.samples import SamplesJob
+
+        given = self._arguments
+        one, other = (str(self._work / half / "####.exr") for half in HALVES)
+        words = ["samples", one, "--halves", other, "--denoised", *map(self._clean, HALVES),
+                 given.output, f"--frames={given.frames}", "--quality", given.quality, "--tile", str(given.tile),
+                 "--json"]
+        used = sum(one["more_samples"] for one in self.rounds)
+        if given.budget is not None:
+            left = max(given.budget - used, 0)
+            is_last = len(self.rounds) >= given.rounds
+            words += ["--budget", str(left if is_last else min(left, given.samples + used))]
         job = SamplesJob(make_parser(["samples"]).parse_args(words), is_quiet=True)
         job.measure()
         plan = job.as_dict()
         frames = plan["frames"]
-        self.rounds.append({
-            "samples": sum(frame["samples"] for frame in frames) / len(frames), "more_samples": more,
-            "psnr": plan["psnr"], "render_seconds": seconds, "denoise_seconds": time.perf_counter() - begin,
-            "plan": plan,
-        })
+        return {"samples": sum(frame["samples"] for frame in frames) / len(frames), "psnr": plan["psnr"], "plan": plan,
+                "asked": self._asked()}
+
+    def _write(self) -> None:
+        from postfx.files import write_text
+
         write_text(self._state, json.dumps(self.rounds))
 
-    def _merged(self, number: int) -> Path:
-        path = self._file("merged", number)
+    def _clean(self, half: str) -> str:
+        """Pattern of the denoised frames of a half."""
+        return str(self._work / f"clean_{half}" / "####.exr")
+
+    def _merged(self, number: int, half: str = "") -> Path:
+        path = self._work / (half or "merged") / f"{number:04d}.exr"
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def _file(self, folder: str, number: int, more: str = "") -> Path:
-        return self._work / folder / f"{number:04d}{more}.exr"
+    def _file(self, folder: str, number: int, half: str, more: str = "") -> Path:
+        """A file that the renderer writes."""
+        return self._work / folder / f"{number:04d}.{half}{more}.exr"

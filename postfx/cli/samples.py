@@ -16,16 +16,17 @@ if TYPE_CHECKING:
 
     from postfx.adaptive.plan import Outlook, Tiles
     from postfx.frame import Frame
+    from postfx.io.sequence import Sequence
 
 DESCRIPTION = """\
 Say how many more samples each tile of a shot needs until its denoised frames have a quality. This is the PSNR against a
 perfect render, on the display: 'visible' (36 dB), 'draft' (30 dB), 'fine' (42 dB), or 38dB; or a FLIP like flip=0.05.
-With --budget the samples go where they lower the error of the shot most.
+With --budget the samples go where they lower the error of the shot most, or its FLIP if that is the quality.
 
-INPUT are the renders before denoising. The error of the denoised frames comes from a plane 'error' in INPUT or --error.
-Without one it is estimated from what the denoiser takes away and from the detail that is left. Such an estimate orders
-tiles well, and is off by a factor of about two in a single tile. Frames are denoised for it, unless --denoised names
-the result.
+INPUT are the renders before denoising. The error of the denoised frames is measured where --halves gives as many
+samples again with another seed: each half, denoised, is compared with the other. Else it comes from a plane 'error' in
+INPUT or --error, or is guessed from what the denoiser takes away, often wrong by a factor of two. Frames are denoised
+for it, unless --denoised names the result.
 
 OUTPUT are EXR files with the planes samples.Y (more samples), error.Y (expected squared error now) and after.Y (with
 these samples). --json prints rectangles to render for a farm or a script.
@@ -33,7 +34,7 @@ these samples). --json prints rectangles to render for a farm or a script.
 EXAMPLES = """\
 examples:
   postfx samples 'shot/####.exr' --quality visible -o 'map/####.exr'
-  postfx samples 'shot/####.exr' --quality flip=0.05 --budget 32 --json > more.json
+  postfx samples 'seed1/####.exr' --halves 'seed2/####.exr' --quality flip=0.05 --budget 32 --json > more.json
   postfx samples 'shot/####.exr' --denoised 'clean/####.exr' --pictures heat/
   postfx samples 'shot/####.exr' --error 'clean/####.exr' --tile 64 -o 'map/####.exr'
   postfx samples 'shot/####.exr' --leave auto,converged:0.01 -o 'map/####.exr'
@@ -50,8 +51,12 @@ SAMPLES = Options(Section("", (
     Option(flag="--tile", metavar="N", type=parse_positive, default=32, help="side of a tile in pixels (default: 32)"),
     Option(flag="--error", metavar="FRAMES", is_file=True,
            help="files with the plane 'error', numbered like INPUT (default: INPUT and --denoised)"),
-    Option(flag="--denoised", metavar="FRAMES", is_file=True,
-           help="INPUT denoised at its own size, for the estimate (default: denoise it here)"),
+    Option(flag="--halves", metavar="FRAMES", is_file=True,
+           excludes={"--error": "{flag} and --error both tell the error: give one of them"},
+           help="INPUT rendered again with another seed and as many samples: both together are the shot"),
+    Option(flag="--denoised", metavar="FRAMES", is_file=True, several=True,
+           help="INPUT denoised at its own size; with --halves three: INPUT, --halves and both merged (default: "
+                "denoise them here)"),
     Option(flag="--samples", metavar="N", type=parse_positive,
            help="samples a pixel of INPUT (default: by its header)"),
     Option(flag="--seconds", metavar="S", type=parse_from_zero,
@@ -103,7 +108,15 @@ class SamplesJob:
             raise WriteError("nowhere to write: give -o OUTPUT, --pictures DIR or --json")
         values = SAMPLES.values_for("sequence", arguments)
         self._sequence = read_sequence(arguments.input, arguments.frames, arguments.profile, **values).first_view()
-        self._denoised = read_sequence(arguments.denoised, planes=[Role.COLOUR]) if arguments.denoised else None
+        others = [read_sequence(arguments.halves, profile=arguments.profile, **values).first_view()] \
+            if arguments.halves else []
+        self._halves = [self._sequence, *others]
+        given = arguments.denoised or []
+        names = [given] if isinstance(given, str) else given
+        if names and len(names) != (3 if others else 1):
+            raise OptionError(f"--denoised {' '.join(names)}: give one for INPUT, or with --halves three: of INPUT, of "
+                              "--halves, and of both merged")
+        self._denoised = [read_sequence(name, planes=[Role.COLOUR]) for name in names]
         self._errors = Sequence(arguments.error) if arguments.error else None
         self._meter = ExposureMeter(arguments.exposure)
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
@@ -131,6 +144,7 @@ class SamplesJob:
             progress.start(0)
             for frame, denoised, error in self._frames():
                 seconds = self._arguments.seconds or render_seconds(frame.metadata)
+                seconds = seconds and seconds * len(self._halves)
                 strength = frame.planes.get(Role.STRENGTH)
                 self.tiles.append(make_tiles(frame.number, error, self._samples(frame),
                                              None if strength is None else strength[:, :, 0], self._arguments.tile,
@@ -204,43 +218,51 @@ class SamplesJob:
 
     def _frames(self) -> Iterator[tuple[Frame, np.ndarray, np.ndarray]]:
         """Each frame, its denoised colour (its own where that is not needed) and the expected error."""
-        from postfx.adaptive.estimate import estimate_error
+        from postfx.adaptive.estimate import estimate_error, estimate_from_halves, mean_frame
         from postfx.errors import MissingPlaneError
         from postfx.frame import Role
 
-        denoise = None
+        denoisers: list[Any] = []
         for frame in self._sequence:
-            colour = denoised = frame[Role.COLOUR]
-            error = self._read_error(frame)
+            renders = [frame, *(half.read(frame.number) for half in self._halves[1:])]
+            renders += [mean_frame(*renders)] if len(renders) == 2 else []
+            error = None if len(renders) > 1 else self._read_error(frame)
+            denoised = [render[Role.COLOUR] for render in renders]
             if self._denoised:
-                denoised = self._denoised.read(frame.number)[Role.COLOUR]
+                denoised = [one.read(frame.number)[Role.COLOUR] for one in self._denoised]
             elif error is None:
-                denoise = denoise or self._make_denoiser()
-                denoised = denoise(frame)[Role.COLOUR]
-            if error is None:
-                error = estimate_error(frame, denoised, self._meter(frame))
+                # What is denoised of a half must not know the other one, not even by its history.
+                denoisers = denoisers or [self._make_denoiser(half) for half in (*self._halves, self._sequence)]
+                denoised = [denoise(render)[Role.COLOUR] for denoise, render in zip(denoisers, renders, strict=False)]
+            if len(renders) > 1:
+                halves = renders[0][Role.COLOUR], renders[1][Role.COLOUR]
+                error = estimate_from_halves(halves, (denoised[0], denoised[1], denoised[2]), self._meter(frame),
+                                             self._arguments.tile)
+                self.sources.add("two halves of the samples")
+            elif error is None:
+                error = estimate_error(frame, denoised[0], self._meter(frame))
                 self.sources.add("an estimate from the noise")
-            elif error.shape != colour.shape[:2]:
+            elif error.shape != frame[Role.COLOUR].shape[:2]:
                 raise MissingPlaneError(f"{frame.source}: has another size than the plane 'error' of its frame: write "
                                         "that at the render's size")
             else:
                 self.sources.add("the plane 'error'")
-            yield frame, denoised, error
+            yield frame, denoised[-1], error
 
     def _read_error(self, frame: Frame) -> np.ndarray | None:
         """The plane 'error' of a frame, from the files that are to have it, or else from those that may."""
         from postfx.adaptive.estimate import read_error
         from postfx.errors import MissingPlaneError
 
-        places = [self._errors] if self._errors else [self._sequence, self._denoised]
-        paths = [path for place in places if place for path in place.files(frame.number).values()]
+        places = [self._errors] if self._errors else [self._sequence, *self._denoised]
+        paths = [path for place in places for path in place.files(frame.number).values()]
         found = next((error for error in map(read_error, paths) if error is not None), None)
         if found is None and self._errors:
             raise MissingPlaneError(f"{paths[0]}: no plane 'error': write it with 'postfx run --aov error', or leave "
                                     "--error out")
         return found
 
-    def _make_denoiser(self) -> Any:
+    def _make_denoiser(self, sequence: Sequence) -> Any:
         from postfx.passes.denoise import DenoiseUpscale
         from postfx.pipeline import Pipeline
         from postfx.runtime import Device
@@ -248,10 +270,10 @@ class SamplesJob:
 
         options = SAMPLES.values_for("denoiser", self._arguments)
         return Pipeline([DenoiseUpscale(scale=1.0, **options)], Device(self._arguments.device),
-                        run_up=RunUp(self._sequence))
+                        run_up=RunUp(sequence))
 
     def _samples(self, frame: Frame) -> Any:
-        """Samples of each pixel, or of all."""
+        """Samples of each pixel, or of all; a half has half of them."""
         from postfx.errors import MissingPlaneError
         from postfx.frame import Role
         from postfx.masks.noise import count_unit
@@ -259,8 +281,8 @@ class SamplesJob:
         samples = self._arguments.samples or frame.samples
         if Role.SAMPLE_COUNT in frame:
             counts = frame[Role.SAMPLE_COUNT]
-            return counts[:, :, 0] * count_unit(counts, samples)
+            return counts[:, :, 0] * count_unit(counts, samples) * len(self._halves)
         if not samples:
             raise MissingPlaneError(f"{frame.source}: its header does not say how many samples a pixel it has: give "
                                     "--samples N")
-        return samples
+        return samples * len(self._halves)

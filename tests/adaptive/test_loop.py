@@ -72,10 +72,16 @@ def test_only_noisy_tiles_are_rendered_again_and_merged(tmp_path: Path, fake: st
 
 
 def test_a_budget_is_kept_over_all_rounds(tmp_path: Path, fake: str, capsys):
-    words = ("--samples", "4", "--rounds", "3", "--budget", "10", "--quality", "60dB", "--json")
-    assert loop(tmp_path, fake, *words) == 0
+    words = ("--samples", "4", "--quality", "60dB", "--json")
+    assert loop(tmp_path, fake, *words, "--rounds", "1", "--budget", "4") == 0
     rounds = json.loads(capsys.readouterr().out)["rounds"]
-    assert 4 < rounds[-1]["samples"] <= 14 and len(rounds) >= 2
+    assert 4 < rounds[-1]["samples"] <= 8 and len(rounds) == 2
+    assert loop(tmp_path, fake, *words, "--rounds", "3", "--budget", "10") == 0  # goes on with a larger budget
+    rounds = json.loads(capsys.readouterr().out)["rounds"]
+    assert 8 < rounds[-1]["samples"] <= 14 and len(rounds) >= 3
+    seeds = {job["seed"] for path in tmp_path.glob("clean/loop/round*.json")
+             for job in json.loads(path.read_text())["jobs"]}
+    assert len(seeds) == 2 * len(rounds)
 
 
 def test_a_loop_that_was_stopped_goes_on(tmp_path: Path, fake: str, capsys):
@@ -86,6 +92,14 @@ def test_a_loop_that_was_stopped_goes_on(tmp_path: Path, fake: str, capsys):
     assert loop(tmp_path, fake, *words, "--rounds", "2") == 0
     second = json.loads(capsys.readouterr().out)["rounds"]
     assert second[: len(first)] == first and not begun
+
+
+def test_a_renderer_that_crashes_goes_on_with_what_is_left(tmp_path: Path, fake: str, capsys):
+    script = Path(shlex.split(fake)[1])
+    script.write_text(FAKE + "    if len(jobs) > 1:\n        raise SystemExit(139)\n")
+    assert loop(tmp_path, fake, "--frames", "1-2", "--samples", "4", "--quality", "10dB", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["done"] == "all tiles have the quality"
+    assert len(json.loads((tmp_path / "clean/loop/round0.json").read_text())["jobs"]) == 1  # the last of four
 
 
 def test_what_goes_wrong_is_said_in_one_line(tmp_path: Path, fake: str, capsys):

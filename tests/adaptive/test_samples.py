@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.adaptive.estimate import estimate_error, read_error
+from postfx.adaptive.estimate import error_of_half, estimate_error, estimate_from_halves, mean_frame, read_error
 from postfx.adaptive.plan import (
     FEWEST,
     MOST,
@@ -21,6 +21,7 @@ from postfx.adaptive.plan import (
     spread,
 )
 from postfx.cli.main import main
+from postfx.colour.views import to_codes
 from postfx.errors import FrameError, OptionError
 from postfx.frame import Frame, Role
 from postfx.io.image_file import ImageFile
@@ -142,11 +143,57 @@ def test_the_estimate_is_higher_where_there_is_more_noise_and_keeps_its_place():
         estimate_error(frame, denoised[:32], 1.0)
 
 
+def denoised_halves(bias: float, seed: int = 1) -> tuple:
+    """A picture, two halves of its samples, and what a denoiser makes of each and of both: it keeps a part of the
+    noise, and is wrong by a pattern, which is smaller with all samples."""
+    random, rows = np.random.default_rng(seed), np.arange(128)
+    truth = np.full((128, 128, 3), 0.3)
+    wrong = bias * np.sin(rows / 3)[:, None, None] * np.linspace(0, 2, 128)[:, None]
+    noises = [random.normal(0, 0.1, truth.shape) for _ in range(2)]
+    halves = truth + noises[0], truth + noises[1]
+    both = (noises[0] + noises[1]) / 2
+    return truth, halves, (*(truth + wrong + 0.3 * noise for noise in noises), truth + 0.7 * wrong + 0.3 * both)
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.05])
+def test_halves_measure_noise_and_bias_of_the_denoiser(bias: float):
+    truth, halves, denoised = denoised_halves(bias)
+    measured = np.square(to_codes(denoised[0], 1.0) - to_codes(truth, 1.0)).mean(axis=2)
+    found = error_of_half(halves, denoised[:2], 1.0, 64)
+    wanted = make_tiles(1, np.float32(measured), 4, None, 64).errors
+    assert found.mean() == pytest.approx(wanted.mean(), rel=0.15)
+    assert np.abs(np.log(found / wanted)).max() < np.log(1.25 if bias == 0 else 1.7)  # neighbours count, too
+
+
+def test_halves_tell_the_error_of_both_together_and_fireflies_do_not_decide():
+    truth, halves, denoised = denoised_halves(0.05)
+    measured = np.square(to_codes(denoised[2], 1.0) - to_codes(truth, 1.0)).mean()
+    plain = estimate_from_halves(halves, denoised, 1.0, 32).mean()
+    assert 0.5 < plain / measured < 2
+    halves[0][5, 5] = 1e5
+    assert estimate_from_halves(halves, denoised, 1.0, 32).mean() == pytest.approx(plain, rel=0.1)
+    with pytest.raises(FrameError, match="several sizes"):
+        estimate_from_halves(halves, (denoised[0], denoised[1], denoised[2][:64]), 1.0, 32)
+
+
+def test_two_renders_are_averaged_but_for_depth_and_motion():
+    one, other = (Frame({Role.COLOUR: np.full((4, 4, 3), value, np.float32),
+                         Role.DEPTH: np.full((4, 4, 1), value, np.float32)}, samples=4) for value in (1.0, 3.0))
+    mean = mean_frame(one, other)
+    assert (mean[Role.COLOUR] == 2).all() and (mean[Role.DEPTH] == 1).all()
+    assert (one[Role.COLOUR] == 1).all()
+
+
+def test_a_quality_in_flip_spreads_a_budget_more_evenly_than_one_in_decibels():
+    shot = [tiles_of([[1e-2, 1e-3]])]
+    by_flip, by_decibels = (plan_samples(shot, parse_quality(text), 10)[0][0] for text in ("flip=0.001", "70dB"))
+    assert by_decibels[0] >= by_flip[0] >= FEWEST and by_flip[1] >= FEWEST > by_decibels[1]
+
+
 def test_the_estimate_orders_the_tiles_of_real_renders(shared_dir: Path):
     """Of other people's scenes at the render's size: by tiles, against the measured error."""
     import postfx
     from postfx.bench.metrics import grey_factor
-    from postfx.colour.views import to_codes
 
     logs = []
     pipeline = postfx.Pipeline([postfx.DenoiseUpscale(scale=1.0, model="s")])
@@ -182,6 +229,21 @@ def test_the_plane_error_of_a_file_counts(tmp_path: Path, capsys):
     assert found["samples.Y"][40, 3] == 4 * MOST and found["samples.Y"].sum() == 4 * MOST * 1024
     assert found["error.Y"][40, 3] == pytest.approx(1e-2) and found["after.Y"][40, 3] < 5e-3
     assert main(words) == 2 and "is already there" in capsys.readouterr().err
+
+
+def test_two_halves_of_a_shot_are_one_with_all_samples(tmp_path: Path, capsys):
+    random = np.random.default_rng(1)
+    names = [str(write_channels(tmp_path / f"seed{seed}.0001.exr",
+                                {name: 0.3 + random.normal(0, 0.1, (64, 64)) for name in "RGB"}, {"postfx:spp": 8}))
+             for seed in (1, 2)]
+    words = ["samples", names[0], "--halves", names[1], "--model", "s", "--json"]
+    assert main(words) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["error_from"] == ["two halves of the samples"] and facts["frames"][0]["samples"] == 16
+    assert main([*words, "--denoised", names[0], names[1]]) == 2
+    assert "with --halves three" in capsys.readouterr().err
+    assert main([*words, "--error", names[0]]) == 2
+    assert "both tell the error" in capsys.readouterr().err
 
 
 def test_a_shot_is_denoised_and_planned_with_pictures_and_a_mask(tmp_path: Path, capsys):

@@ -6,8 +6,12 @@ It trains at the render's size on windows of two frames, whose history the recur
 second frame's target is a reference, or the other render. Noise of a target averages out only in light that is nearly
 linear: there the error is squared and divided by the squared brightness of the result.
 
-A quarter is held back: frames where there are four or more targets, else the right quarter of each picture. The best of
-several mixtures of old and new weights counts, as a mixture forgets less. If it does not gain, nothing is written.
+References may hold tiles only: with a plane of sample counts, pixels with less than half of the most samples do not
+count. Where such tiles are small, windows are smaller, and there are more of them.
+
+A quarter is held back: frames where there are four or more targets, else the right quarter of the pixels that count.
+The best of several mixtures of old and new weights counts, as a mixture forgets less. If it does not gain, nothing is
+written.
 """
 
 from __future__ import annotations
@@ -47,6 +51,8 @@ RATE = 1e-4
 WARM = 10
 """Steps over which the learning rate rises."""
 WINDOW, BATCH = 128, 4
+SPARSE = 0.25
+"""Share of the pixels that count below which windows have half the side, and there are four times as many."""
 SHARES = (1.0, 0.75, 0.5, 0.25)
 """Of the new weights in the mixtures that are tried."""
 LEAST = 0.1
@@ -60,11 +66,15 @@ BRIGHTEST = 1e4
 
 @dataclass
 class Example:
-    """A frame with a target, and the frame before it: inputs of one picture each, exposed alike."""
+    """A frame with a target, and the frame before it: inputs of one picture each, exposed alike.
+
+    known: 1 where the target counts, else 0, (1, 1, height, width).
+    """
 
     before: Inputs
     now: Inputs
     target: Tensor
+    known: Tensor
     follows: bool
     name: str
 
@@ -102,7 +112,10 @@ def load(arguments: argparse.Namespace) -> list[Example]:
         for number in (one for one in shot.numbers if source.holds(one) and target.holds(one)):
             before = source.before(number, 1)
             frames = [source.read(one) for one in (*before, number)]
-            wanted = target.read(number, [Role.COLOUR])[Role.COLOUR]
+            with target.open(number) as files:
+                has_counts = Role.SAMPLE_COUNT in files.layout.planes
+            held = target.read(number, [Role.COLOUR, *[Role.SAMPLE_COUNT] * has_counts])
+            wanted = held[Role.COLOUR]
             if wanted.shape != frames[-1][Role.COLOUR].shape:
                 raise FrameError(f"{target.pattern}: frame {number} has another size than the shot's: render it at the "
                                  "render's size")
@@ -110,10 +123,21 @@ def load(arguments: argparse.Namespace) -> list[Example]:
             made = [inputs_of(frame, exposure) for frame in frames]
             light = torch.from_numpy(wanted).permute(2, 0, 1)[None].clamp(min=0) * exposure
             follows = bool(before) and Role.MOTION in frames[-1] and not frames[-1].reset
-            found.append(Example(made[0], made[-1], light.clamp(max=BRIGHTEST), follows, f"{source.pattern} {number}"))
+            known = torch.from_numpy(known_pixels(held))[None, None]
+            light = torch.nan_to_num(light).clamp(max=BRIGHTEST)
+            found.append(Example(made[0], made[-1], light, known, follows, f"{source.pattern} {number}"))
     if not found:
         raise OptionError(f"{other.pattern}: has none of the frames {shot.pattern}: number them alike")
     return found
+
+
+def known_pixels(target: Frame) -> np.ndarray:
+    """1 where a target counts, else 0, (height, width) float32: finite, with at least half of the most samples."""
+    known = np.isfinite(target[Role.COLOUR]).all(axis=2)
+    if Role.SAMPLE_COUNT in target:
+        counts = target[Role.SAMPLE_COUNT][:, :, 0]
+        known &= (counts > 0) & (counts >= counts.max() / 2)
+    return known.astype(np.float32)
 
 
 def cut(inputs: Inputs, rows: slice, columns: slice) -> Inputs:
@@ -137,12 +161,15 @@ def run(model: DenoiseUpscale, before: Inputs, now: Inputs, follows: Tensor) -> 
     return result
 
 
-def error(result: Tensor, target: Tensor, is_noisy: bool) -> Tensor:
-    """The loss of a batch."""
-    if not is_noisy:
-        ones = torch.ones(len(result), 1, 1, 1, device=result.device)
-        return frame_loss(display(result), display(target), ones) + LIGHT[0] * light_loss(result, target, LIGHT[1])
-    return relative_error(result, target).mean()
+def error(result: Tensor, target: Tensor, known: Tensor, is_noisy: bool) -> Tensor:
+    """The loss of a batch, as if all of it were known."""
+    share = known.mean().clamp(min=1e-3)
+    if is_noisy:
+        return (relative_error(result, target) * known).mean() / share
+    target = torch.where(known > 0, target, result.detach())
+    ones = torch.ones(len(result), 1, 1, 1, device=result.device)
+    found = frame_loss(display(result), display(target), ones) + LIGHT[0] * light_loss(result, target, LIGHT[1])
+    return found / share
 
 
 def relative_error(result: Tensor, target: Tensor) -> Tensor:
@@ -155,48 +182,64 @@ class Split:
     """What is trained on, and what is held back."""
 
     def __init__(self, examples: list[Example]) -> None:
+        examples = [one for one in examples if one.known.any()]
+        if not examples:
+            raise FrameError("no pixel of the references counts: all have no samples or are not finite")
         self._by_frame = len(examples) >= KEPT
         numbers = range(KEPT // 2, len(examples), KEPT) if self._by_frame else range(len(examples))
         self.held = [examples[number] for number in numbers]
         others = [one for number, one in enumerate(examples) if number not in numbers]
         self.seen = others if self._by_frame else examples
+        self._places = [torch.nonzero(one.known[0, 0, :, self.columns(one, held=False)]) for one in self.seen]
+        is_sparse = sum(float(one.known.mean()) for one in self.seen) < SPARSE * len(self.seen)
+        self._window, self._batch = (WINDOW // 2, BATCH * 4) if is_sparse else (WINDOW, BATCH)
 
-    def columns(self, width: int, held: bool) -> slice:
+    def columns(self, example: Example, held: bool) -> slice:
         """Columns of a picture that count for either."""
+        width = example.known.shape[-1]
         if self._by_frame:
             return slice(0, width)
-        edge = width - width // KEPT
+        filled = torch.nonzero(example.known[0, 0])[:, 1].sort().values
+        edge = int(filled[len(filled) - len(filled) // KEPT - 1]) + 1
         return slice(edge, width) if held else slice(0, edge)
 
-    def draw(self, generator: random.Random, count: int) -> tuple[Inputs, Inputs, Tensor, Tensor]:
-        """Windows at random places: frames before, frames, targets, and where the history goes on."""
-        chosen = [generator.choice(self.seen) for _ in range(count)]
-        height, width = (min(one.target.shape[axis] for one in chosen) for axis in (-2, -1))
-        width = len(range(width)[self.columns(width, held=False)])
-        sides = min(WINDOW, height), min(WINDOW, width)
-        places = [(generator.randrange(height - sides[0] + 1), generator.randrange(width - sides[1] + 1))
-                  for _ in chosen]
-        windows = [(slice(y, y + sides[0]), slice(x, x + sides[1])) for y, x in places]
-        pairs = list(zip(chosen, windows, strict=True))
+    def draw(self, generator: random.Random) -> tuple[Inputs, Inputs, Tensor, Tensor, Tensor]:
+        """Windows around random pixels that count: frames before, frames, targets, what of them is known, and where the
+        history goes on."""
+        chosen = [generator.randrange(len(self.seen)) for _ in range(self._batch)]
+        sides = [min(self._window, *(one.known.shape[axis] if axis == -2 else
+                                     len(range(one.known.shape[-1])[self.columns(one, held=False)])
+                                     for one in (self.seen[number] for number in chosen))) for axis in (-2, -1)]
+        pairs = []
+        for number in chosen:
+            one, places = self.seen[number], self._places[number]
+            limits = one.known.shape[-2], self.columns(one, held=False).stop
+            spot = places[generator.randrange(len(places))].tolist()
+            begins = [min(max(at - generator.randrange(side), 0), limit - side)
+                      for at, side, limit in zip(spot, sides, limits, strict=True)]
+            pairs.append((one, [slice(begin, begin + side) for begin, side in zip(begins, sides, strict=True)]))
         return (stack([cut(one.before, *window) for one, window in pairs]),
                 stack([cut(one.now, *window) for one, window in pairs]),
                 torch.cat([one.target[..., window[0], window[1]] for one, window in pairs]),
-                torch.tensor([float(one.follows) for one in chosen])[:, None, None, None])
+                torch.cat([one.known[..., window[0], window[1]] for one, window in pairs]),
+                torch.tensor([float(one.follows) for one, _ in pairs])[:, None, None, None])
 
     @torch.no_grad()
     def measure(self, model: DenoiseUpscale, is_noisy: bool) -> float:
         """Squared error of what was held back: of code values, or relative one of light against a noisy target."""
-        errors = []
+        errors, pixels = [], []
         for one in self.held:
             result = run(model, one.before, one.now, torch.full((1, 1, 1, 1), float(one.follows)))
-            columns = self.columns(result.shape[-1], held=True)
-            result, target = result[..., columns], one.target[..., columns]
+            columns = self.columns(one, held=True)
+            result, target, known = result[..., columns], one.target[..., columns], one.known[..., columns]
             if is_noisy:
                 scale = target.mean((1, 2, 3), keepdim=True).square() + FLOOR  # the same for all networks
-                errors.append(float(((result - target).square() / (scale + target.square().mean())).mean()))
+                square = (result - target).square() / (scale + target.square().mean())
             else:
-                errors.append(float((display(result) - display(target)).square().mean()))
-        return sum(errors) / len(errors)
+                square = (display(result) - display(target)).square()
+            errors.append(float((square * known).sum() / square.shape[1]))
+            pixels.append(float(known.sum()))
+        return sum(errors) / sum(pixels)
 
 
 def tune(arguments: argparse.Namespace) -> dict[str, object]:
@@ -219,8 +262,8 @@ def tune(arguments: argparse.Namespace) -> dict[str, object]:
             break
         for group in optimiser.param_groups:
             group["lr"] = RATE * min((step + 1) / WARM, 1) * 0.5 * (1 + np.cos(np.pi * passed))
-        *inputs, target, follows = split.draw(generator, BATCH)
-        loss = error(run(model, *inputs, follows), target, is_noisy)
+        *inputs, target, known, follows = split.draw(generator)
+        loss = error(run(model, *inputs, follows), target, known, is_noisy)
         optimiser.zero_grad()
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)

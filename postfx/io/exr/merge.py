@@ -91,9 +91,10 @@ class Merged:
 
 
 def merge_renders(
-    paths: Sequence[Path], target: Path, samples: Sequence[int] | None = None, profile: str | None = None
+    paths: Sequence[Path], target: Path, samples: Sequence[int | None] | None = None, profile: str | None = None
 ) -> Merged:
-    """Write the renders of one frame as one; samples: a pixel of each file, where the headers do not say it.
+    """Write the renders of one frame as one; samples: a pixel of each file, where the headers do not say
+    it; None for those that do.
 
     Raises ReadError for a file that is broken, is no OpenEXR file or does not tell its samples, FrameError where files
     are not of one frame, WriteError where the result cannot be written.

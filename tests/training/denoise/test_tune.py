@@ -70,10 +70,28 @@ def test_a_loss_is_not_written(tmp_path: Path, monkeypatch, capsys):
 
 
 def test_what_was_held_back_is_not_trained_on():
-    one = tune.Example(None, None, torch.zeros(1, 3, 48, 64), True, "")
+    one = tune.Example(None, None, torch.zeros(1, 3, 48, 64), torch.ones(1, 1, 48, 64), True, "")
     by_column, by_frame = tune.Split([one]), tune.Split([one] * 9)
-    assert by_column.columns(64, held=False) == slice(0, 48) and by_column.columns(64, held=True) == slice(48, 64)
-    assert len(by_frame.held) == 2 and len(by_frame.seen) == 7 and by_frame.columns(64, held=True) == slice(0, 64)
+    assert by_column.columns(one, held=False) == slice(0, 48) and by_column.columns(one, held=True) == slice(48, 64)
+    assert len(by_frame.held) == 2 and len(by_frame.seen) == 7 and by_frame.columns(one, held=True) == slice(0, 64)
+
+
+def test_references_of_tiles_count_where_they_have_samples(tmp_path: Path):
+    counts = np.zeros((48, 64, 1), np.float32)
+    counts[16:24, 8:16], counts[32:40, 40:48], counts[0, 0] = 64, 64, 16
+    colour = np.full((48, 64, 3), 0.2, np.float32)
+    colour[20, 12] = np.nan
+    known = tune.known_pixels(postfx.Frame({Role.COLOUR: colour, Role.SAMPLE_COUNT: counts}))
+    assert known.sum() == 127 and known[16:24, 8:16].sum() == 63
+    inputs = tune.inputs_of(postfx.Frame({Role.COLOUR: np.full((48, 64, 3), 0.2, np.float32)}), 1.0)
+    target = torch.full((1, 3, 48, 64), 0.2)
+    split = tune.Split([tune.Example(inputs, inputs, target, torch.from_numpy(known)[None, None], True, "")])
+    *_, drawn, _ = split.draw(tune.random.Random(1))
+    assert drawn.shape[0] == 4 * tune.BATCH and (drawn.sum((1, 2, 3)) > 0).all()
+    result = torch.where(drawn > 0, 0.2, 0.9).expand(-1, 3, -1, -1)  # right where it counts
+    targets = torch.full_like(result, 0.2)
+    for is_noisy in (False, True):
+        assert tune.error(result, targets, drawn, is_noisy) < 0.2 < tune.error(result + 0.5, targets, drawn, is_noisy)
 
 
 def test_the_command_says_what_is_wrong(tmp_path: Path, monkeypatch, capsys):

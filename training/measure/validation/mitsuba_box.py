@@ -1,0 +1,13 @@
+"""Mitsuba's own Cornell box, for `hosts/loop/render_mitsuba.py`."""
+
+import mitsuba as mi
+
+SIZE = 160, 96
+
+
+def build(frame: int) -> dict:
+    """The box; the same in all frames."""
+    scene = mi.cornell_box()
+    film = scene["sensor"]["film"]
+    film["width"], film["height"] = SIZE
+    return scene
