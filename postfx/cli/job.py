@@ -60,7 +60,7 @@ from postfx.passes.registry import create, insert_passes, parse_pass
 from postfx.pipeline import Pipeline
 from postfx.plan import Skip, from_files
 from postfx.runs.run import Options, Run, provenance_of
-from postfx.runs.schedule import Work
+from postfx.runs.schedule import Work, find_preroll
 from postfx.runtime import Device
 from postfx.temporal.reverse_order import Backwards
 from postfx.wrap import AROUND, AUTO, NONE, is_panorama
@@ -204,7 +204,9 @@ class Job:
     def explain(self) -> Explanation:
         """What would run."""
         exposure = self._exposure if self._exposure.multipliers else self._exposure_of_first()
-        return Explanation(self.plan, self.sequence, self.first, self.skips, self._run_up, exposure)
+        preroll = Options(**self._values("run")).preroll
+        before = find_preroll(self.sequence, self.first, preroll) if self.pipeline.remembers(self.plan) else []
+        return Explanation(self.plan, self.sequence, self.first, self.skips, self._run_up, exposure, before)
 
     def _exposure_of_first(self) -> ExposureUsed:
         """What --exposure says of the first frame, by its colour alone."""
@@ -326,7 +328,8 @@ class Job:
         """
         progress.note(self.headline())
         if self._arguments.verbose:
-            progress.note(str(self.plan))
+            for line in str(self.plan).splitlines():
+                progress.note(line)
         wanted = [work.number for work in run.works if work.write]
         before = [work.number for work in run.works if work.number not in self.sequence.numbers]
         if before:
@@ -507,7 +510,7 @@ class Job:
         if used is not None:
             self._exposure.multipliers[number], self._exposure.lit[number] = used, done.header_factor
         self._written, self._frames = self._written + paths, self._frames + 1
-        progress.advance(" ".join(paths))
+        progress.advance(" ".join(paths), self._watch.seconds - self._preparation.compile_seconds)
         if self._arguments.verbose:
             spent = [f"{name} {elapsed:.1f} ms" for name, elapsed in done.passes.items()]
             stops = [] if used is None else [f"exposure {log2(used):+.2f} EV"]
