@@ -73,6 +73,8 @@ def test_a_range_with_what_is_before_it_runs_up_to_that(postfx, noise):
     assert done.json["run_up"]["frames"] == 5
     whole = postfx(*RUN, "-o", "whole/a.####.exr", "--json")
     assert whole.code == 0
+    assert postfx(*RUN, "-o", "one/a.####.exr", "--frames", "1").code == 0
+    np.testing.assert_array_equal(pixels(noise / "one/a.0001.exr"), pixels(noise / "whole/a.0001.exr"))
     for number in range(3, 7):
         np.testing.assert_array_equal(*(pixels(noise / f"{name}/a.{number:04d}.exr") for name in ("out", "whole")))
 
