@@ -141,7 +141,7 @@ class Job:
             self.skips += skips
         if not arguments.explain and arguments.model != "classic" and device.memory.host_visible and not device.scratch:
             check_memory(self.plan, self.sequence)
-        self._noticed = self._planes_of_later_frames()
+        self._noticed, self._has_compared = self._planes_of_later_frames(self._later_frames()), False
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits, arguments.compression)
@@ -262,6 +262,11 @@ class Job:
         """Read, process and write one frame without an entry in the manifest; returns the file. The frame has the
         history of those that were previewed before. step: from one frame to the next. Raises PostfxError."""
         self.sequence.look_again(step)
+        if number == self.first:
+            self._tell([*self.plan.remarks, *self.sequence.warnings], tell)
+        elif not self._has_compared:
+            self._has_compared = True
+            self._tell(self._planes_of_later_frames([number]), tell)
         frame = self.sequence.read(number, self.plan.planes, self._guides)
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         self._look(frame, tell)
@@ -398,10 +403,14 @@ class Job:
                 run.end_frame(work.number, behind.wait, stop.is_requested)
                 stop.check()
 
-    def _planes_of_later_frames(self) -> list[str]:
-        """A warning for planes that the first frame lacks and later ones have: the plan is made for the first."""
+    def _later_frames(self) -> list[int]:
+        """The second, the middle and the last frame."""
         others = [number for number in self.sequence.numbers if number > self.first and self.sequence.holds(number)]
-        for number in dict.fromkeys([*others[:1], *others[len(others) // 2 :][:1], *others[-1:]]):
+        return list(dict.fromkeys([*others[:1], *others[len(others) // 2 :][:1], *others[-1:]]))
+
+    def _planes_of_later_frames(self, numbers: list[int]) -> list[str]:
+        """A warning for planes that the first frame lacks and these have: the plan is made for the first."""
+        for number in numbers:
             try:
                 with self.sequence.reader().open(number) as files:
                     more = {*self.pipeline.explain(files.spec()).planes} - {*self.plan.planes, Role.MOTION}
