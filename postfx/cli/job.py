@@ -431,8 +431,8 @@ class Job:
 
     def _look(self, frame: Frame, tell: Callable[[str], None]) -> None:
         """Tell what is plainly wrong with the first frames at once, not after a night."""
-        if self._arguments.no_denoise or self.pipeline.device.scratch:
-            return
+        if self._arguments.no_denoise or self._arguments.strength == 0 or self.pipeline.device.scratch:
+            return  # where AOVs are not read, so that none is missing
         self._tell(self._looker.look(frame), tell)
 
     def _tell_noticed(self, number: int, tell: Callable[[str], None]) -> None:
