@@ -75,7 +75,7 @@ def _paragraphs(text: str | None) -> Iterator[str]:
 def profiles() -> str:
     """Every built-in profile: how it is found, and its planes."""
     lines = ["# Profiles", "", "What postfx knows of each renderer, from the TOML files in `postfx/io/profiles`. "
-             "[Files, planes and renderers](renderers.md#renderers) says what to switch on, and how to [write your "
+             "[Files, AOVs and renderers](renderers.md#renderers) says what to switch on, and how to [write your "
              "own](renderers.md#your-own-names). A profile that extends another one also reads that one's planes.", ""]
     for path in sorted((ROOT / "postfx/io/profiles").glob("*.toml")):
         table = tomllib.loads(path.read_text(encoding="utf-8"))

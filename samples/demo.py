@@ -48,21 +48,22 @@ def main(argv: list[str]) -> None:
     """Make everything; prints what it does."""
     out, began = Path(argv[0] if argv else "out/demo"), time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
-    shot = list(postfx.read_sequence(ROOM / "noisy.####.exr"))
-    denoise = postfx.Pipeline([postfx.DenoiseUpscale(scale=SCALE)], exposure="metadata")
+    sequence = postfx.read_sequence(ROOM / "noisy.####.exr")
+    shot, clean = list(sequence), out / "clean.####.exr"
+    run_up = postfx.RunUp(sequence)
+    denoise = postfx.Pipeline([postfx.DenoiseUpscale(scale=SCALE)], exposure="metadata", run_up=run_up)
     show = postfx.Pipeline([postfx.ToneMap()], exposure="metadata")
-    with step("2 of 4", "first frame: compiles kernels, up to a minute the first time, then a second"):
-        clean = [denoise(shot[0])]
-        shown = [show(clean[0])]
+    with step("2 of 4", "first frame, and those after it for its history: some seconds"):
+        keep(clean, denoise(shot[0]))
     with step("3 of 4", f"{len(shot) - 1} more frames: some seconds"):
-        clean += map(denoise, shot[1:])
-        shown += map(show, clean[1:])
-    with step("4 of 4", "files, crops and the video: some seconds"):
+        for frame in shot[1:]:
+            keep(clean, denoise(frame))
+    with step("4 of 4", "pictures, crops and the video: some seconds"):
         before = [enlarge(show(frame)[Role.COLOUR]) for frame in shot]
+        shown = [show(frame) for frame in postfx.read_sequence(clean)]
         after = [frame[Role.COLOUR] for frame in shown]
-        for frame, light in zip(shown, clean, strict=True):
-            postfx.write_frame(out / f"clean.{frame.number:04d}.exr", light)
-            postfx.write_frame(out / f"picture.{frame.number:04d}.png", frame)
+        for frame in shown:
+            keep(out / "picture.####.png", frame)
         columns = compare(out, before[-1], after[-1], shot[-1], show)
         animate(out, before, after)
     if SHOWCASE.exists():
@@ -71,8 +72,8 @@ def main(argv: list[str]) -> None:
                        showcase=SHOWN if SHOWCASE.exists() else "")
     (out / "index.html").write_text(page, encoding="utf-8")
     print(f"\nOpen {out / 'index.html'}. The same by two commands:")
-    print(f"  postfx run samples/room/noisy.####.exr -o {out}/clean.####.exr --scale {SCALE}")
-    print(f"  postfx run {out}/clean.####.exr -o {out}/picture.####.png --no-denoise")
+    print(f"  postfx run 'samples/room/noisy.####.exr' -o '{clean}' --scale {SCALE} --exposure metadata")
+    print(f"  postfx run '{clean}' -o '{out}/picture.####.png' --no-denoise --exposure metadata")
 
 
 @contextmanager
@@ -82,6 +83,11 @@ def step(number: str, what: str) -> Iterator[None]:
     began = time.perf_counter()
     yield
     print(f"        {time.perf_counter() - began:.1f} s", flush=True)
+
+
+def keep(pattern: Path, frame: Frame) -> None:
+    """Write a frame under the pattern's name of its number."""
+    postfx.write_frame(pattern.with_name(pattern.name.replace("####", f"{frame.number:04d}")), frame)
 
 
 def enlarge(picture: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import pytest
 
+from postfx.cli.run import EXAMPLES
 from tests.pending_figures import PENDING
 from training.measure.record import NUMBER, RUNS, Run, agrees, is_same, load, run
 
@@ -122,6 +123,13 @@ def test_figures_that_are_repeated_are_those_of_their_page(page: Path) -> None:
             made = Run({}, (ROOT / "docs" / part.copied).read_text(encoding="utf-8"))
             lost = [figure for figure in part.figures() if not made.has(figure)]
             assert not lost, f"{page.name}, {part.section}: not in {part.copied}"
+
+
+def test_the_figures_of_the_help_are_measured() -> None:
+    runs = [load("kinds"), load("kinds_with_oidn")]
+    figures = [figure for line in EXAMPLES.splitlines() if line.startswith("  postfx run")
+               for figure in CELL.findall(line)]
+    assert len(figures) == 10 and all(any(made.has(figure) for made in runs) for figure in figures)
 
 
 def test_every_source_says_where_it_is_from_and_is_used() -> None:

@@ -4,6 +4,7 @@ import contextlib
 import io
 import re
 import runpy
+import shlex
 import shutil
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import pytest
 from PIL import Image
 
 import postfx
+from postfx.cli.main import main
 from postfx.cuts import CutDetector
 from tests.kernels import host_cuda
 
@@ -44,6 +46,15 @@ def test_the_demo_says_what_takes_how_long_and_shows_a_page_with_a_video(tmp_pat
     said = run("demo.py", str(tmp_path))
     assert re.findall(r"(?m)^(\d of 4)  ", said) == ["2 of 4", "3 of 4", "4 of 4"]
     assert len(re.findall(r"(?m)^ +\d+\.\d s$", said)) == 3
+    commands = [shlex.split(line)[1:] for line in said.splitlines() if line.startswith("  postfx run ")]
+    for words, suffix in zip(commands, (".exr", ".png"), strict=True):
+        words[words.index("-o") + 1] = str(tmp_path / f"command/####{suffix}")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(SAMPLES.parent)
+            assert main([*words, "--frames", "1", "--quiet"]) == 0
+        of_demo = tmp_path / f"{'clean' if suffix == '.exr' else 'picture'}.0001{suffix}"
+        ours, theirs = (oiio.ImageBuf(str(path)).get_pixels() for path in (tmp_path / f"command/0001{suffix}", of_demo))
+        assert np.array_equal(ours[..., :3], theirs[..., :3])
     page = (tmp_path / "index.html").read_text("utf-8")
     assert all((tmp_path / name).stat().st_size > 20000 for name in re.findall(r'src="([^"]+)"', page))
     with Image.open(tmp_path / "video.png") as video:

@@ -21,6 +21,9 @@ MOST_OF_ALL = 45_000
 """Words of all that people read: without the laboratory, and without pages that are made from the code."""
 PAGES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md",
          *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").rglob("*.md"))))
+OF_ARTISTS = ("howto/index.md", "howto/tasks.md", "howto/troubleshooting.md", "howto/faq.md", "howto/video.md",
+              "howto/oidn.md", "howto/hosts.md", "gallery.md")
+"""Pages that artists read beside those of `FIRST`, in which an AOV is an AOV."""
 _END = re.compile(r"(?<=[.!?])[)\"'*]*\s+(?=[A-Z0-9'`*(\[{]|--)|(?<=:\*\*)\s+")
 """Where a sentence ends: after its full stop, or after the bold label of a list item."""
 _ABBREVIATIONS = re.compile(r"\b(e\.g|i\.e|etc|vs|cf)\.")
@@ -70,6 +73,13 @@ def test_pages_have_short_sentences(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     assert [*paragraphs(text)]
     assert too_long(text, MOST_AT_FIRST if page.startswith(FIRST) else MOST) == []
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.startswith(("README", "docs/index", "docs/start/"))
+                                  or page.endswith(OF_ARTISTS)])
+def test_pages_of_artists_have_the_field_s_words(page):
+    text = re.sub(r"\]\([^)]*\)", "]", "\n".join(paragraphs((ROOT / page).read_text(encoding="utf-8"))))
+    assert re.findall(r"(?i)\b(planes?|doubts?|both ways)\b", re.sub("`[^`]*`", "", text)) == []
 
 
 def test_there_is_not_too_much_to_read():

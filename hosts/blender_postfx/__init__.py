@@ -89,6 +89,14 @@ PRESETS = [("NONE", "Standard", "Every frame uses the frames before it"),
            ("final", "Final", "The cleanest: both directions, two to three times the time"),
            ("animation", "Animation", "As Final, and steady in brightness")]
 
+LOOKS = [("NONE", "None (EXR)", "Scene-linear EXR for the compositor"),
+         ("aces2", "ACES 2", "Pictures (PNG) by ACES 2"),
+         ("agx", "AgX", "Pictures (PNG) by AgX, as Blender shows them"),
+         ("pbr_neutral", "PBR Neutral", "Pictures (PNG) that keep the colours of products"),
+         ("local", "Local", "Pictures (PNG) whose dark and bright places are both seen")]
+PLACES = (Path.home() / ".local/bin/postfx", Path("/usr/local/bin/postfx"))
+"""Where the command may be when a desktop starts Blender without the shell's PATH."""
+
 
 class Settings(bpy.types.PropertyGroup):
     preset: bpy.props.EnumProperty(name="Preset", default="NONE", items=PRESETS)
@@ -99,6 +107,11 @@ class Settings(bpy.types.PropertyGroup):
         name="Clamp fireflies", default=0.0, min=0.0, max=100.0,
         description="Darken pixels that are more than this many times as bright as those around them; 0 for none")
     findings: bpy.props.StringProperty(description="What postfx said of the passes, a line each")
+    both_ways: bpy.props.BoolProperty(
+        name="Both directions", default=False,
+        description="Also denoise the sequence in reverse order and mix the results: cleaner, takes two to three times "
+        "as long")
+    look: bpy.props.EnumProperty(name="Look", default="NONE", items=LOOKS)
     scale: bpy.props.FloatProperty(name="Scale", default=1.0, min=1.0, max=3.0, description="Output over render size")
     model: bpy.props.EnumProperty(name="Network", default="m", items=[
         ("s", "Small", "Fastest"), ("m", "Medium", "Recommended"), ("l", "Large", "Best")])
@@ -121,6 +134,8 @@ def find_command(context) -> list[str]:
     addon = context.preferences.addons.get(__package__)
     text = addon.preferences.command.strip() if addon else ""
     words = ([text] if Path(text).is_file() else shlex.split(text)) if text else ["postfx"]
+    if not text and shutil.which("postfx") is None:
+        words = next(([str(place)] for place in PLACES if place.is_file()), words)
     if shutil.which(words[0]) is None:
         raise LookupError(f"there is no command '{words[0]}': install it (python3 -m pip install . in a checkout of "
                           "postfx) and name it in the add-on's preferences")
@@ -258,6 +273,10 @@ class Denoise(bpy.types.Operator):
         options += ["--preset", settings.preset] if settings.preset != "NONE" else []
         options += ["--aov", "auto"] if settings.parts else []
         options += ["--clamp-fireflies", str(round(settings.fireflies, 3))] if settings.fireflies else []
+        options += ["--both-ways"] if settings.both_ways and self.whole else []
+        if settings.look != "NONE":
+            options += ["--tonemap", settings.look]
+            output = str(Path(output).with_suffix(".png"))
         self._frames = list(wanted)
         self._job = Job(command, source, output, ",".join(map(str, wanted)), options)
         return True
@@ -302,7 +321,7 @@ class Panel(bpy.types.Panel):
         layout.use_property_split = True
         layout.operator(SetUp.bl_idname)
         layout.operator(Check.bl_idname)
-        for name in ("preset", "model", "scale", "strength", "fireflies", "parts"):
+        for name in ("preset", "model", "both_ways", "scale", "strength", "fireflies", "parts", "look"):
             layout.prop(settings, name)
         row = layout.row(align=True)
         row.operator(Denoise.bl_idname, text="Denoise sequence").whole = True

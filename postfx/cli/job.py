@@ -60,7 +60,7 @@ from postfx.passes.registry import create, insert_passes, parse_pass
 from postfx.pipeline import Pipeline
 from postfx.plan import Skip, from_files
 from postfx.runs.run import Options, Run, provenance_of
-from postfx.runs.schedule import Work
+from postfx.runs.schedule import Work, find_preroll
 from postfx.runtime import Device
 from postfx.temporal.reverse_order import Backwards
 from postfx.wrap import AROUND, AUTO, NONE, is_panorama
@@ -141,7 +141,7 @@ class Job:
             self.skips += skips
         if not arguments.explain and arguments.model != "classic" and device.memory.host_visible and not device.scratch:
             check_memory(self.plan, self.sequence)
-        self._noticed = self._planes_of_later_frames()
+        self._noticed, self._has_compared = self._planes_of_later_frames(self._later_frames()), False
         self._guides, self._format = from_files(self.plan.guides), self._values("writer")
         if self.outputs:
             self.outputs.check_storage(self.plan.output.encoding, arguments.bits, arguments.compression)
@@ -204,7 +204,9 @@ class Job:
     def explain(self) -> Explanation:
         """What would run."""
         exposure = self._exposure if self._exposure.multipliers else self._exposure_of_first()
-        return Explanation(self.plan, self.sequence, self.first, self.skips, self._run_up, exposure)
+        preroll = Options(**self._values("run")).preroll
+        before = find_preroll(self.sequence, self.first, preroll) if self.pipeline.remembers(self.plan) else []
+        return Explanation(self.plan, self.sequence, self.first, self.skips, self._run_up, exposure, before)
 
     def _exposure_of_first(self) -> ExposureUsed:
         """What --exposure says of the first frame, by its colour alone."""
@@ -260,6 +262,11 @@ class Job:
         """Read, process and write one frame without an entry in the manifest; returns the file. The frame has the
         history of those that were previewed before. step: from one frame to the next. Raises PostfxError."""
         self.sequence.look_again(step)
+        if number == self.first:
+            self._tell([*self.plan.remarks, *self.sequence.warnings], tell)
+        elif not self._has_compared:
+            self._has_compared = True
+            self._tell(self._planes_of_later_frames([number]), tell)
         frame = self.sequence.read(number, self.plan.planes, self._guides)
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         self._look(frame, tell)
@@ -326,7 +333,8 @@ class Job:
         """
         progress.note(self.headline())
         if self._arguments.verbose:
-            progress.note(str(self.plan))
+            for line in str(self.plan).splitlines():
+                progress.note(line)
         wanted = [work.number for work in run.works if work.write]
         before = [work.number for work in run.works if work.number not in self.sequence.numbers]
         if before:
@@ -395,10 +403,14 @@ class Job:
                 run.end_frame(work.number, behind.wait, stop.is_requested)
                 stop.check()
 
-    def _planes_of_later_frames(self) -> list[str]:
-        """A warning for planes that the first frame lacks and later ones have: the plan is made for the first."""
+    def _later_frames(self) -> list[int]:
+        """The second, the middle and the last frame."""
         others = [number for number in self.sequence.numbers if number > self.first and self.sequence.holds(number)]
-        for number in dict.fromkeys([*others[:1], *others[len(others) // 2 :][:1], *others[-1:]]):
+        return list(dict.fromkeys([*others[:1], *others[len(others) // 2 :][:1], *others[-1:]]))
+
+    def _planes_of_later_frames(self, numbers: list[int]) -> list[str]:
+        """A warning for planes that the first frame lacks and these have: the plan is made for the first."""
+        for number in numbers:
             try:
                 with self.sequence.reader().open(number) as files:
                     more = {*self.pipeline.explain(files.spec()).planes} - {*self.plan.planes, Role.MOTION}
@@ -419,8 +431,8 @@ class Job:
 
     def _look(self, frame: Frame, tell: Callable[[str], None]) -> None:
         """Tell what is plainly wrong with the first frames at once, not after a night."""
-        if self._arguments.no_denoise or self.pipeline.device.scratch:
-            return
+        if self._arguments.no_denoise or self._arguments.strength == 0 or self.pipeline.device.scratch:
+            return  # where AOVs are not read, so that none is missing
         self._tell(self._looker.look(frame), tell)
 
     def _tell_noticed(self, number: int, tell: Callable[[str], None]) -> None:
@@ -507,7 +519,7 @@ class Job:
         if used is not None:
             self._exposure.multipliers[number], self._exposure.lit[number] = used, done.header_factor
         self._written, self._frames = self._written + paths, self._frames + 1
-        progress.advance(" ".join(paths))
+        progress.advance(" ".join(paths), self._watch.seconds - self._preparation.compile_seconds)
         if self._arguments.verbose:
             spent = [f"{name} {elapsed:.1f} ms" for name, elapsed in done.passes.items()]
             stops = [] if used is None else [f"exposure {log2(used):+.2f} EV"]

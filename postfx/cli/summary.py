@@ -40,6 +40,7 @@ class Explanation:
         skips: what the arguments leave out, and why.
         run_up: what runs before the first frame of a shot.
         exposure: of that frame, or the mode alone where all frames have to be metered.
+        before: frames that run before that one, for its history.
     """
 
     plan: Plan
@@ -48,6 +49,7 @@ class Explanation:
     skips: list[Skip]
     run_up: RunUp | None
     exposure: ExposureUsed
+    before: list[int]
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
@@ -55,8 +57,8 @@ class Explanation:
         plan["skipped"] += [asdict(item) for item in self.skips]
         if alone := self._find_left_alone():
             plan["left_alone"] = alone.as_dict()
-        return {**plan, "ahead": self._list_ahead(), "frames": len(self.sequence), "missing": missing,
-                "exposure": self.exposure.as_dict(),
+        return {**plan, "before": self.before, "ahead": self._list_ahead(),
+                "frames": len(self.sequence), "missing": missing, "exposure": self.exposure.as_dict(),
                 "warnings": self.sequence.warnings}
 
     def __str__(self) -> str:
@@ -69,9 +71,11 @@ class Explanation:
             one = f"frame {first} by " if len(self.exposure.multipliers) == 1 else ""
             known = self.exposure.multipliers
             lines.append(f"exposes {one}{self.exposure}" if known else "exposes all frames by what metering them gives")
+        if self.before:
+            lines.append(f"history {describe_preroll(self.before)} for frame {first} (--preroll 0 leaves it out)")
         if ahead := self._list_ahead():
             listed = f"frame{'s' * (len(ahead) > 1)} {', '.join(map(str, ahead))}"
-            lines.append(f"run-up  of each shot: {listed} before frame {first} (--run-up 0 for none)")
+            lines.append(f"run-up  of each shot: {listed} before frame {self._begin} (--run-up 0 for none)")
         return "\n".join(lines + [f"warning {warning}" for warning in self.sequence.warnings])
 
     def _find_left_alone(self) -> Coverage | None:
@@ -81,7 +85,12 @@ class Explanation:
 
     def _list_ahead(self) -> list[int]:
         """Frames that are run before the first one, in the order in which they are."""
-        return self.run_up.after(self.first)[::-1] if self.run_up and self.plan.accumulating_steps() else []
+        return self.run_up.after(self._begin)[::-1] if self.run_up and self.plan.accumulating_steps() else []
+
+    @property
+    def _begin(self) -> int:
+        """The first frame that runs."""
+        return (*self.before, self.first)[0]
 
 
 def describe_frames(sequence: Sequence) -> str:
@@ -168,10 +177,10 @@ class FrameProgress:
         self._begin = time.perf_counter()
         return self._begin
 
-    def advance(self, path: str) -> None:
-        """Count a frame that was written to `path`."""
+    def advance(self, path: str, apart: float = 0.0) -> None:
+        """Count a frame that was written to `path`; `apart` seconds since the start do not count, as of compiling."""
         self._done, self._fresh = self._done + 1, self._fresh + 1
-        speed = self._fresh / (time.perf_counter() - self._begin)
+        speed = self._fresh / (time.perf_counter() - self._begin - apart)
         rate, left = f"{speed:.2f} frames/s", timedelta(seconds=round((self._total - self._done) / speed))
         self._bar.update(self._task, advance=1, rate=f"{rate}, {left} left")
         if not self._console.is_terminal:

@@ -100,9 +100,9 @@ class FirstFrames:
         if one.role not in set(Role):
             return f"{evidence}; likely: {one.cause}; fix: {fix}"
         if one.code.startswith("missing-"):
-            return f"plane {one.role}: {evidence}; fix: {fix}"
+            return f"AOV {one.role}: {evidence}; fix: {fix}"
         names = self._channels.get(Role(one.role), "no name")
-        return f"plane {one.role} ({names}), frame {frame.number}: {evidence}; likely: {one.cause}; fix: {fix}"
+        return f"AOV {one.role} ({names}), frame {frame.number}: {evidence}; likely: {one.cause}; fix: {fix}"
 
 
 def _size(frame: Frame) -> tuple[int, int]:

@@ -29,7 +29,7 @@ from postfx.plan import Plan, Skip
 from postfx.runs.folder import RunFolder, load_checkpoint
 from postfx.runs.locks import Process
 from postfx.runs.manifest import Output
-from postfx.runs.schedule import EarlierRuns, Work, find_preroll, judge, schedule
+from postfx.runs.schedule import AUTO, EarlierRuns, Work, find_preroll, judge, schedule
 from postfx.runtime import Device, Library
 from postfx.version import __version__
 
@@ -178,7 +178,7 @@ class Options:
     log: str | None = None
     checkpoint: float | None = 30.0
     rerun: int | None = None
-    preroll: int | str = "auto"
+    preroll: int | str = AUTO
 
 
 class Run:
@@ -331,8 +331,7 @@ class Run:
             self.warnings.append(f"{again} finished frames are run again, for the history of unfinished ones: "
                                  "--resume 8 runs fewer and gives nearly the same")
         if works and works[0].number == numbers[0] and not works[0].checkpoint:
-            before = find_preroll(self._sequence, numbers[0]) if options.preroll == "auto" \
-                else self._sequence.before(numbers[0], int(options.preroll))
+            before = find_preroll(self._sequence, numbers[0], options.preroll)
             works = [Work(number, False) for number in before] + works
         return works
 

@@ -131,6 +131,8 @@ def _has_changed(before: Inputs, now: Inputs) -> bool:
 
 # Chunks
 
+AUTO = "auto"
+"""As many frames before the first one as its shot has."""
 PREROLL = 96
 """Most frames that run before a chunk: on five sequences the first and the third frame after a seam were then at 57 dB
 or more against an unbroken run (docs/howto/farm.md)."""
@@ -163,15 +165,18 @@ class Chunk:
                 "preroll": format_frames(self.preroll), "reads": format_frames(self.reads)}
 
 
-def find_preroll(sequence: Sequence, number: int, most: int = PREROLL) -> list[int]:
-    """Frames to run before one that has no history: those of its shot that lead to it without a hole, at most `most`.
+def find_preroll(sequence: Sequence, number: int, preroll: int | str = AUTO) -> list[int]:
+    """Frames to run before one that has no history: so many, or by 'auto' those of its shot that lead to it without a
+    hole, at most `PREROLL`.
 
     Headers and the sequence's cuts say where the shot begins; a frame that cannot be opened ends the search.
     """
+    if preroll != AUTO:
+        return sequence.before(number, int(preroll))
     found: list[int] = []
     reader, current = sequence.reader(), number
     with suppress(PostfxError):
-        while len(found) < most and not reader.begins_shot(current):
+        while len(found) < PREROLL and not reader.begins_shot(current):
             before = sequence.before(current, 1)
             if not before:
                 break

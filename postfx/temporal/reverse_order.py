@@ -59,7 +59,8 @@ class RunUp:
         self._view = view
         self._sequence, self._frames, self._find_cuts, self._prepare = sequence, frames, cuts == "auto", prepare
         self.on_frame: Callable[[int, int], None] = lambda first, number: None
-        self._next = dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True))
+        is_one = len(sequence.numbers) == 1  # which skips none
+        self._next = {} if is_one else dict(zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True))
 
     def of_view(self, view: str) -> RunUp:
         """The same for another view of the sequence."""

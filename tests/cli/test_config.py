@@ -167,7 +167,8 @@ def test_quiet_prints_warnings_alone_and_verbose_each_pass(shot, tmp_path, monke
     assert said.startswith("failed   1 frame: 1 left out") and "frames/s" not in said
     assert main([*run, "-v", "--frames", "1"]) == 0
     said = capsys.readouterr().err
-    assert "pass 1  denoise_upscale" in said and "frame 1: denoise_upscale " in said and "exposure +0.00 EV" in said
+    assert "\npass 1  denoise_upscale" in said and "frame 1: denoise_upscale " in said and "exposure +0.00 EV" in said
+    assert "?" not in said
 
 
 def test_a_byte_order_mark_is_no_part_of_the_file(places):

@@ -187,9 +187,9 @@ def test_a_run_tells_before_its_first_frame_what_is_plainly_wrong(broken_room, t
     run = ["run", str(broken_room(**wrong)), "-o", str(tmp_path / "out.####.exr"), "--model=classic", "--frames=2"]
     assert main([*run, "--json"]) == 0
     done = capsys.readouterr()
-    told = [text for text in json.loads(done.out)["warnings"] if text.startswith("plane ")]
+    told = [text for text in json.loads(done.out)["warnings"] if text.startswith("AOV ")]
     assert [text.partition(":")[0] for text in told] == [
-        "plane depth (depth.Z), frame 2", "plane normal (normal.X,Y,Z), frame 2", "plane motion (motion.X,Y), frame 2"]
+        "AOV depth (depth.Z), frame 2", "AOV normal (normal.X,Y,Z), frame 2", "AOV motion (motion.X,Y), frame 2"]
     assert all("; likely: " in text and "; fix: " in text for text in told)
     assert done.err.index("negative, least") < done.err.index("1/1 "), "at once, not at the end"
     run[1] = ROOM

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from postfx.cli.main import main
+from postfx.cli.summary import FrameProgress
 
 RUN = ("run", "in/shot.####.exr", "-o", "out/shot.####.exr", "--device", "cpu")
 QUICK = ("--no-denoise", "--tonemap")
@@ -72,3 +73,16 @@ def test_who_does_not_listen_stops_no_frame(here, where):
         process.stderr.close()
         process.wait(120)
     assert len(list((here / "out").glob("shot.*.exr"))) == 3
+
+
+def test_the_rate_while_frames_are_made_leaves_compiling_out_as_the_last_one_does(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("postfx.cli.summary.time.perf_counter", lambda: now[0])
+    with FrameProgress(4) as progress:
+        progress.start(0)
+        now[0] = 12.0
+        progress.advance("a.exr", 10.0)
+        now[0] = 14.0
+        progress.advance("b.exr", 10.0)
+    told = capsys.readouterr().err
+    assert "1/4 a.exr (0.50 frames/s)" in told and "2/4 b.exr (0.50 frames/s)" in told

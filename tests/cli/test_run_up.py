@@ -36,6 +36,11 @@ def test_explain_names_the_frames(postfx, noise):
     assert postfx(*RUN, "--explain", "--json").json["ahead"] == [6, 5, 4, 3, 2]
     assert postfx(*RUN, "--explain", "--json", "--run-up", "0").json["ahead"] == []
     assert "run-up" not in postfx(*RUN, "--strength", "0", "--explain").out
+    part = postfx(*RUN, "--frames", "3-4", "--run-up", "3", "--explain").out
+    assert "history frames 1 to 2 first, unwritten, for frame 3 (--preroll 0 leaves it out)" in part
+    assert "frames 4, 3, 2 before frame 1 (" in part
+    part = postfx(*RUN, "--frames", "3-4", "--run-up", "3", "--preroll", "0", "--explain").out
+    assert "history" not in part and "frame 3 (" in part
 
 
 def test_a_capture_is_of_the_frame_alone(postfx, noise):
@@ -68,6 +73,8 @@ def test_a_range_with_what_is_before_it_runs_up_to_that(postfx, noise):
     assert done.json["run_up"]["frames"] == 5
     whole = postfx(*RUN, "-o", "whole/a.####.exr", "--json")
     assert whole.code == 0
+    assert postfx(*RUN, "-o", "one/a.####.exr", "--frames", "1").code == 0
+    np.testing.assert_array_equal(pixels(noise / "one/a.0001.exr"), pixels(noise / "whole/a.0001.exr"))
     for number in range(3, 7):
         np.testing.assert_array_equal(*(pixels(noise / f"{name}/a.{number:04d}.exr") for name in ("out", "whole")))
 

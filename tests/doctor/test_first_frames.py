@@ -36,7 +36,7 @@ def test_nothing_is_said_of_good_frames(room):
 
 def test_a_wrong_sign_and_a_wrong_unit_are_told_with_the_fix(room):
     (line,) = said(with_motion(room, np.negative), channels={Role.MOTION: "vector.XY"})
-    assert line.startswith("plane motion (vector.XY), frame 3: ") and "fix: in a profile scale = [-1, -1]" in line
+    assert line.startswith("AOV motion (vector.XY), frame 3: ") and "fix: in a profile scale = [-1, -1]" in line
     height, width = room[0][Role.COLOUR].shape[:2]
     (line,) = said(with_motion(room, lambda motion: motion / np.float32((width, height))))
     assert 'fix: in a profile unit = "uv"' in line and "\n" not in line
@@ -65,7 +65,7 @@ def test_planes_that_the_renderer_could_write_are_told_and_cheap_ones_are_not(ro
                                      if role not in (Role.NORMAL, Role.ROUGHNESS)})]
     enable = {Role.NORMAL: "Data > Normal", Role.ROUGHNESS: "Shader AOV"}
     (line,) = said(bare, enable=enable)
-    assert "plane normal: " in line and "fix: switch it on: Data > Normal" in line
+    assert "AOV normal: " in line and "fix: switch it on: Data > Normal" in line
     assert said(bare) == []  # as nobody knows where
 
 
@@ -105,5 +105,9 @@ def test_a_run_tells_of_planes_that_come_later(write_exr, tmp_path, capsys):
     assert main(run) == 0
     line = "warning  frame 1 has no diffuse_albedo, frame 2 does: no frame is denoised with it"
     assert line in capsys.readouterr().err
+    watch = ["watch", str(tmp_path / "in/"), "-o", str(tmp_path / "preview/"), "--until", "3", "--settle", "0"]
+    assert main([*watch, "--", "--model", "s", "--device", "cpu"]) == 0
+    told = capsys.readouterr().err
+    assert told.count(line) == 1 and "warning  denoise_upscale: no motion vectors" in told
     assert main([*run, "--frames", "2-3", "--preroll", "0", "--overwrite"]) == 0
     assert "no diffuse_albedo" not in capsys.readouterr().err

@@ -4,6 +4,7 @@ Prints one JSON object on the last line.
 """
 
 import json
+import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -44,7 +45,7 @@ bpy.ops.render.render(animation=True)
 preferences.command = "/nowhere/postfx"
 found["no command"] = attempt(bpy.ops.postfx.denoise)
 preferences.command = COMMAND
-scene.postfx.model, scene.postfx.scale = "s", 2.0
+scene.postfx.model, scene.postfx.scale, scene.postfx.both_ways = "s", 2.0, True
 found["denoise"] = attempt(bpy.ops.postfx.denoise)
 image = next(image for image in bpy.data.images if "denoised" in image.name)
 found["image"] = [image.name, image.source]
@@ -52,11 +53,19 @@ found["files"] = sorted(path.name for path in (Path(FOLDER) / "shot").iterdir() 
 scene.frame_set(2)
 scene.postfx.strength = 0.0
 found["frame"] = attempt(bpy.ops.postfx.denoise, whole=False)
+scene.postfx.look = "agx"
+found["picture"] = attempt(bpy.ops.postfx.denoise, whole=False)
+found["shown"] = "box_denoised_0002.png" in bpy.data.images
+scene.postfx.look = "NONE"
 Path(FOLDER, "shot", "box_0002.exr").write_bytes(b"no picture")
 found["broken"] = attempt(bpy.ops.postfx.denoise, whole=False)
 
 # Without a window there are no events: these are handed to the operator's function.
 module = sys.modules[name]
+preferences.command, module.PLACES = "", (Path(COMMAND),)
+path = os.environ.pop("PATH")
+found["place"] = module.find_command(bpy.context)
+os.environ["PATH"] = path
 job = module.Job([COMMAND], str(Path(FOLDER) / "shot" / "box_####.exr"), str(Path(FOLDER) / "stopped_####.exr"), "1",
                  ["--model", "s"])
 job.stop()

@@ -103,6 +103,7 @@ def test_two_frames_in_blender(extension, tmp_path):
     found = in_blender("blender_session.py", extension, tmp_path)
     assert found["wrong engine"].startswith("postfx reads passes of Cycles")
     assert found["set up"] == found["denoise"] == found["frame"] == "FINISHED"
+    assert found["picture"] == "FINISHED" and found["shown"] and found["place"] == [str(tmp_path / "postfx")]
     assert found["not rendered"].startswith("frame 1 is not rendered: there is no ")
     assert found["no command"].startswith("there is no command '/nowhere/postfx': install it")
     assert found["broken"].startswith("error") and "box_0002.exr" in found["broken"]
