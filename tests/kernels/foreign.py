@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from postfx.kernels import build
+from postfx.compiled import build
 
 EMULATOR = shutil.which("qemu-aarch64-static") or shutil.which("qemu-aarch64")
 TARGET = "aarch64-linux-musl"
