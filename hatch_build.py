@@ -24,7 +24,7 @@ PAGE = ROOT / "build" / "postfx.1"
 
 def load_kernel_build() -> Any:
     """The module that compiles kernels, without the package around it, which needs what is installed with it."""
-    spec = importlib.util.spec_from_file_location("kernel_build", ROOT / "postfx" / "kernels" / "build.py")
+    spec = importlib.util.spec_from_file_location("kernel_build", ROOT / "postfx" / "compiled" / "build.py")
     assert spec and spec.loader
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module

@@ -17,10 +17,10 @@ from postfx.cuts import CutDetector
 from postfx.errors import CutError, FrameError, PassContractError, PassOptionError
 from postfx.exposure import ExposureMeter, SmoothExposure, factor_of
 from postfx.frame import GUIDE_ROLES, LOG, Frame, FrameSpec, Role
-from postfx.kernels.statistics import lend
 from postfx.passes import MOST_SIZES, Downloads, Pass, ResidentFrame, share_planes, spec_of
 from postfx.passes.exposure_tool import with_tool
 from postfx.plan import Plan, Skip, Step, make_plan
+from postfx.planes import lend
 from postfx.repair import is_unusable, repair_nonfinite
 from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor, default_device
 from postfx.runtime.encoders import Recordings
@@ -207,7 +207,9 @@ class Pipeline:
         if not self._checks or self.device.scratch or frame.encoding != "scene-linear" or not plan.accumulating_steps():
             return
         if self._looker is None:
-            from postfx.doctor.first_frames import FirstFrames  # loads the doctor, which stills need not wait for
+            from postfx.doctor.first_frames import (
+                FirstFrames,  # loads the doctor, which stills need not wait for
+            )
 
             self._looker = FirstFrames(on_gpu=not self.device.memory.host_visible, copies=True)
         for text in self._looker.look(frame):

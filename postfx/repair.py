@@ -10,7 +10,7 @@ import numpy as np
 
 from postfx.errors import OptionError
 from postfx.frame import Frame, Role
-from postfx.kernels.statistics import INFINITY_BITS, WORTH, largest_bits_of
+from postfx.planes import INFINITY_BITS, WORTH, largest_bits_of
 from postfx.system import Scratch
 
 KNOWN = 0.75

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from postfx import Device
+from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
-from postfx.kernels.library import Rows
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable
 

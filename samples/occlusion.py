@@ -20,7 +20,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from postfx import Device, Library
-from postfx.kernels.library import Rows
+from postfx.compiled.library import Rows
 from postfx.kernels.occlusion import FAR, HORIZONS, LOOK, LOOKS, SMOOTH, SURFACE
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable, Tensor

@@ -11,10 +11,10 @@ import time
 
 import numpy as np
 
-from postfx.kernels import library
+from postfx.compiled import library
+from postfx.compiled.library import Rows
 from postfx.kernels.denoise import KERNEL
 from postfx.kernels.denoise.pyramid import FILTER
-from postfx.kernels.library import Rows
 
 
 def main() -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
-from postfx.kernels.library import Rows
 
 _PEREZ = np.array([  # slope and offset by turbidity of A to E, for Y, x and y
     [[0.1787, -1.4630], [-0.3554, 0.4275], [-0.0227, 5.3251], [0.1206, -2.5771], [-0.0670, 0.3703]],

@@ -92,7 +92,7 @@ ROOMS = (
           "-k 'resampl or overlay or checkerboard or sampling or cells'"),
     _room("kernels/tonemap.", 2, *_in("kernels", "tonemap_kernels", "cuda_kernels"), "-k 'not denoise_'"),
     _room("kernels/colour.", 1, *_in("kernels", "tonemap_kernels"), "-k 'encode_display or apply_cube'"),
-    _room("kernels/pixel_formats.", 8, *_in("io", "image_file", "encode_dither", "writer", "encode_light")),
+    _room("io/pixel_formats.", 8, *_in("io", "image_file", "encode_dither", "writer", "encode_light")),
     _room("passes/denoise/tiling.py", 3, *_in("passes", "denoise_tiles", "denoise_strength"), "test_memory_budget.py",
           *_in("stress", "tiles")),
     _room("passes/denoise/", 5, *_in("passes", "denoise_upscale", "denoise_1x", "denoise_guides", "denoise_reactive",

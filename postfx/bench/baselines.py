@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from postfx.bench import require
+from postfx.compiled.library import Rows
 from postfx.errors import BenchError, DeviceError
 from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.kernels import Kernel
 from postfx.kernels.image import RESAMPLE, positions
-from postfx.kernels.library import Rows
 from postfx.oidn import OpenImageDenoise, total_albedo
 from postfx.runtime import ArgumentTable, Device
 

@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 
 import postfx
 from postfx.bench.methods import Chain, Method, Network, make
+from postfx.compiled.library import CompileWatch
 from postfx.errors import BenchError, MissingFrameError, PostfxError
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import write_frame
-from postfx.kernels.library import CompileWatch
 from postfx.runtime import Device
 
 LEAST, MOST = 1.0, 3.0
@@ -201,7 +201,9 @@ def timing(times: dict[str, Any], device: str) -> dict[str, Any]:
 
 def score(material: Material, pattern: str) -> SequenceScore:
     """Score the results that a method wrote."""
-    from postfx.bench.metrics import SequenceScore  # imported here: its libraries must not count as a method's memory
+    from postfx.bench.metrics import (
+        SequenceScore,  # imported here: its libraries must not count as a method's memory
+    )
 
     scores = SequenceScore()
     for number in material.noisy.numbers:

@@ -16,7 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postfx.cli.interruptions import Faults, OnError, Standin, Stop, check_memory, check_sizes, first_readable
+from postfx.cli.interruptions import (
+    Faults,
+    OnError,
+    Standin,
+    Stop,
+    check_memory,
+    check_sizes,
+    first_readable,
+)
 from postfx.cli.run_options import (
     RUN,
     explain_kept,
@@ -41,16 +49,24 @@ from postfx.cli.summary import (
     guides_in,
     warn_of_budget,
 )
+from postfx.compiled.library import CompileWatch
 from postfx.cuts import CutDetector
 from postfx.errors import OptionError, PostfxError, WriteError
-from postfx.exposure import APPLIED, SMOOTH, USED, ExposureMeter, SmoothExposure, colours_of, measure
+from postfx.exposure import (
+    APPLIED,
+    SMOOTH,
+    USED,
+    ExposureMeter,
+    SmoothExposure,
+    colours_of,
+    measure,
+)
 from postfx.files import WriteBehind, read_ahead, read_patiently
 from postfx.frame import Frame, Part, Role
 from postfx.io.parts import group_parts
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
-from postfx.kernels.library import CompileWatch
 from postfx.passes import Pass
 from postfx.passes.denoise.options import output_size
 from postfx.passes.display import is_shown, make_display_passes
@@ -184,19 +200,25 @@ class Job:
             return AROUND if is_panorama(files.layout.attributes) else NONE
 
     def _make_capture(self, device: Device) -> FrameCapture:
-        from postfx.report.page import FrameCapture  # loads pages, which other runs need not wait for
+        from postfx.report.page import (
+            FrameCapture,  # loads pages, which other runs need not wait for
+        )
 
         return FrameCapture(device, check=not self._arguments.explain, **self._values("capture"))
 
     def _find_viewer(self) -> LiveViewer | None:
         if self._arguments.live is None or self._arguments.explain:
             return None
-        from postfx.report.live import LiveViewer  # loads sockets, which other runs need not wait for
+        from postfx.report.live import (
+            LiveViewer,  # loads sockets, which other runs need not wait for
+        )
 
         return LiveViewer(self._arguments.live)
 
     def _make_page(self) -> RunReport:
-        from postfx.cli.report import RunReport  # loads the doctor and charts, which other runs need not wait for
+        from postfx.cli.report import (
+            RunReport,  # loads the doctor and charts, which other runs need not wait for
+        )
 
         return RunReport(self.sequence, self.pipeline, self.plan, self._inspect, check=not self._arguments.explain,
                          **self._values("page"))
@@ -425,7 +447,9 @@ class Job:
 
     @cached_property
     def _looker(self) -> FirstFrames:
-        from postfx.doctor.first_frames import FirstFrames  # loads the doctor, which other verbs need not wait for
+        from postfx.doctor.first_frames import (
+            FirstFrames,  # loads the doctor, which other verbs need not wait for
+        )
 
         return FirstFrames(self._channels, self._enable, not self.pipeline.device.memory.host_visible)
 

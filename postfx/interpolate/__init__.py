@@ -20,7 +20,16 @@ from postfx.cuts import CutDetector
 from postfx.errors import FrameError
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.interpolate import paths
-from postfx.interpolate.blend import DARK, Mixture, Pair, Planes, compose, join_cells, split_planes, stack_planes
+from postfx.interpolate.blend import (
+    DARK,
+    Mixture,
+    Pair,
+    Planes,
+    compose,
+    join_cells,
+    split_planes,
+    stack_planes,
+)
 from postfx.interpolate.choose import (
     MARGIN,
     Arrived,
@@ -32,23 +41,27 @@ from postfx.interpolate.choose import (
     measure_misfits,
     merge_sides,
 )
-from postfx.interpolate.flow import (
-    COVERED,
+from postfx.interpolate.light import change_of_light, lit_at
+from postfx.interpolate.lost import motion_of_lost
+from postfx.interpolate.overlays import COVERED, find_overlay, measure_clearness, remove_overlay
+from postfx.interpolate.timing import (
+    Sparks,
+    camera_between,
+    find_sparks,
+    follow_light,
+    keep_sparks,
+    settle_sparks,
+)
+from postfx.motion.flow import (
     bring_to_time,
     consistent_motion,
     enlarge_motion,
     estimate_motion,
-    find_overlay,
     halve,
-    measure_clearness,
     middle_light,
-    remove_overlay,
     tone,
 )
-from postfx.interpolate.light import change_of_light, lit_at
-from postfx.interpolate.lost import motion_of_lost
-from postfx.interpolate.timing import Sparks, camera_between, find_sparks, follow_light, keep_sparks, settle_sparks
-from postfx.kernels.statistics import is_same_plane, largest_bits_of
+from postfx.planes import is_same_plane, largest_bits_of
 from postfx.sampling import bilinear, is_inside
 from postfx.system import at_once, begin
 from postfx.temporal.reverse_motion import invert_motion

@@ -16,9 +16,9 @@ from typing import TypeAlias
 import numpy as np
 
 from postfx.caching import new_array
+from postfx.compiled.library import Rows
 from postfx.frame import Role
 from postfx.interpolate.choose import OTHER  # noqa: F401  # it is blend.cu's
-from postfx.kernels.library import Rows
 from postfx.system import in_bands
 
 LEAST = np.float32(1e-4)

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from postfx.caching import new_array
+from postfx.compiled.calls import whole
+from postfx.compiled.library import Rows
 from postfx.interpolate.paths import FAR, Paths  # noqa: F401  # FAR is choose.cu's
-from postfx.kernels.library import Rows
-from postfx.kernels.statistics import whole
 from postfx.system import in_bands
 
 MARGIN = 8

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from postfx.colour import luminance
-from postfx.interpolate.flow import consistent_motion, estimate_motion, middle_light
+from postfx.motion.flow import consistent_motion, estimate_motion, middle_light
 from postfx.sampling import local_mean
 
 SHORTER = 96

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from postfx.caching import filled_array, new_array
+from postfx.compiled.calls import whole
+from postfx.compiled.library import Rows
 from postfx.frame import DEPTH_MISS
-from postfx.io.convert import centre_positions, fit_camera
-from postfx.kernels.library import Rows
-from postfx.kernels.statistics import whole
+from postfx.motion.camera import centre_positions, fit_camera
 from postfx.system import in_bands
 from postfx.temporal import reverse_motion
 from postfx.temporal.reverse_motion import LOST  # noqa: F401  # it is paths.cu's
@@ -149,7 +149,7 @@ def motion_of_reflections(motion: np.ndarray, depth: np.ndarray, length: np.ndar
     """Motion (h, w, 2) of what flat mirrors show; NaN where there is no mirror, all of it where no camera is found.
 
     A mirror's image lies along the view ray, as far behind the mirror as the reflected point is from it, and moves like
-    any point at rest: as the camera that fits the motion of surfaces (`convert.fit_camera`).
+    any point at rest: as the camera that fits the motion of surfaces (`camera.fit_camera`).
 
     Args:
         motion, depth: (h, w, 2) and (h, w, 1).

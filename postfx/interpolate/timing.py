@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from postfx.caching import new_array
+from postfx.compiled.calls import whole
+from postfx.compiled.library import Rows
 from postfx.errors import OptionError
 from postfx.frame import Frame, Role
 from postfx.interpolate.choose import STILL
-from postfx.kernels.library import Rows
-from postfx.kernels.statistics import whole
 from postfx.system import in_bands
 
 _DROP, _FIELD = 1 << 6, 1 << 15

@@ -11,9 +11,13 @@ from postfx.depth import depth_from_device, depth_from_normalised, depth_from_ra
 from postfx.errors import DepthOptionError, ProfileError
 from postfx.frame import DEPTH_MISS, Role
 from postfx.io.profile import PlaneRule
-
-SEEN = (Role.DIFFUSE_ALBEDO, Role.NORMAL)
-"""Planes that motion is estimated from; one of them is enough."""
+from postfx.motion.camera import (
+    apply_homography,
+    camera_equations,
+    centre_positions,
+    fit_camera,
+    skew_of,
+)
 
 
 @dataclass(frozen=True)
@@ -149,12 +153,22 @@ def _motion_pixels(plane: np.ndarray, rule: PlaneRule, camera: Camera, width: in
 
 # Motion of the background ------------------------------------------------------------------------------------------
 
-# Points that the fit takes, the least that it needs, rounds of weighting, and rows that are filled at once.
-_POINTS, _LEAST_POINTS, _ROUNDS, _ROWS = 2000, 64, 8, 16
-# In pixels: motion of a camera at rest, the error that exact vectors have at least, and the most that a fit may have;
-# then the share of the points that it must explain, how far it may be from a turn, and the least share of the misses
-# that must be without motion.
-_STILL, _LEAST_ERROR, _SURE, _FITTING, _SKEW, _DIRECT = 1e-3, 0.02, 0.1, 0.6, 0.005, 0.75
+_POINTS = 2000
+"""Points that the fit takes."""
+_LEAST_POINTS = 64
+"""Points that the fit needs at least."""
+_ROWS = 16
+"""Rows that are filled at once."""
+_STILL_PX = 1e-3
+"""Motion of a camera at rest."""
+_MOST_ERROR_PX = 0.1
+"""The most error that a fit may have."""
+_LEAST_FITTING = 0.6
+"""Share of the points that the fit must explain."""
+_MOST_SKEW = 0.005
+"""How far the fit may be from a turn, in matrix entries."""
+_LEAST_UNMOVED = 0.75
+"""Least share of the misses that must be without motion."""
 
 
 def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
@@ -172,7 +186,7 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     beyond = np.flatnonzero(depth >= DEPTH_MISS)
     stored = motion.reshape(-1, 2)[beyond]
     unmoved = beyond[((stored == 0) | np.isnan(stored)).all(axis=1)]
-    if unmoved.size < max(_DIRECT * beyond.size, 1):
+    if unmoved.size < max(_LEAST_UNMOVED * beyond.size, 1):
         return False
     step = max(1, round(math.sqrt(depth.size / _POINTS)))
     thin = depth[::step, ::step]
@@ -180,7 +194,7 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     places = step * np.argwhere((thin > 0) & (thin < DEPTH_MISS) & is_known)
     rows, columns = places[:, 0], places[:, 1]
     moved = motion[rows, columns].astype(np.float64)
-    if rows.size < _LEAST_POINTS or np.abs(moved).max() < _STILL:
+    if rows.size < _LEAST_POINTS or np.abs(moved).max() < _STILL_PX:
         return False
     missed = np.zeros(depth.shape, bool)
     missed.reshape(-1)[unmoved] = True
@@ -189,9 +203,9 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
     found, covariance, error, share = fit_camera(now, now[:, :2] + moved / width, near, 1 / width)
     places = np.argwhere(missed[::step, ::step])
     now = centre_positions(step * places[:, 0], step * places[:, 1], height, width)
-    across = camera_equations(now, np.stack(_apply_homography(found, now[:, 0], now[:, 1]), -1), np.zeros(len(now)))
+    across = camera_equations(now, np.stack(apply_homography(found, now[:, 0], now[:, 1]), -1), np.zeros(len(now)))
     doubt = float(np.sqrt(np.einsum("ij,jk,ik->i", across, covariance, across)).max(initial=0)) * width
-    if share < _FITTING or max(error, doubt) > _SURE or _skew(found) > _SKEW:
+    if share < _LEAST_FITTING or max(error, doubt) > _MOST_ERROR_PX or skew_of(found) > _MOST_SKEW:
         return False
     columns = centre_positions(np.zeros(width), np.arange(width), height, width)[None, :, 0].astype(np.float32)
     rows = centre_positions(np.arange(height), np.zeros(height), height, width)[:, 1, None].astype(np.float32)
@@ -199,58 +213,10 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
         some = slice(first, first + _ROWS)
         if missed[some].any():
             x, y = np.broadcast_arrays(columns, rows[some])
-            earlier = _apply_homography(found.astype(np.float32), x, y)
+            earlier = apply_homography(found.astype(np.float32), x, y)
             for axis, (before, here) in enumerate(zip(earlier, (x, y), strict=True)):
                 np.copyto(motion[some, :, axis], (before - here) * width, where=missed[some], casting="same_kind")
     return True
-
-
-def _apply_homography(found: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where infinitely far points were in the frame before."""
-    a, b, c, d, e, f, g, h = found[:8]
-    over = 1 / (g * x + h * y + 1)
-    return (a * x + b * y + c) * over, (d * x + e * y + f) * over
-
-
-def _skew(found: np.ndarray) -> float:
-    """How far a fit is from a turn of the camera, which neither stretches nor shears, beyond what a wide turn does."""
-    shift = found[2] ** 2 + found[5] ** 2
-    return float(max(abs(found[0] - found[4]), abs(found[1] + found[3])) - 2 * shift)
-
-
-def centre_positions(rows: np.ndarray, columns: np.ndarray, height: float, width: float) -> np.ndarray:
-    """Homogeneous positions (count, 3) around the middle of the picture, in widths."""
-    x, y = (columns + 0.5 - width / 2) / width, (rows + 0.5 - height / 2) / width
-    return np.stack([x, y, np.ones_like(x)], axis=-1)
-
-
-def camera_equations(now: np.ndarray, before: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Left sides (2 count, 11) for H without its last 1, by rows, and e: first all of x, then all of y."""
-    none, zero, near = np.zeros_like(now), np.zeros((len(now), 1)), near[:, None]
-    x, y = before[:, :1], before[:, 1:]
-    return np.concatenate([
-        np.concatenate([now, none, -x * now[:, :2], near, zero, -x * near], axis=1),
-        np.concatenate([none, now, -y * now[:, :2], zero, near, -y * near], axis=1)])
-
-
-def fit_camera(now: np.ndarray, before: np.ndarray, near: np.ndarray, pixel: float
-                ) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """H and e (11,), their covariance, the error of points that fit in pixels, and the share of points that do."""
-    start = np.append(np.eye(3).reshape(-1)[:8], np.zeros(3))  # a camera at rest, which weak evidence does not change
-    equations = camera_equations(now, before, near)
-    right = before.T.reshape(-1) - equations @ start
-    weights = np.ones(len(now))
-    for _ in range(_ROUNDS):
-        weighted = equations * np.tile(weights, 2)[:, None]
-        normal = weighted.T @ equations + 1e-9 * len(now) * np.eye(start.size)
-        change = np.linalg.solve(normal, weighted.T @ right)
-        errors = np.hypot(*(right - equations @ change).reshape(2, -1)) / pixel
-        typical = max(float(np.median(errors)), 0.02)
-        weights = (1 + (errors / (3 * typical)) ** 2) ** -2
-    fitting = errors < max(5 * typical, _SURE)
-    error = float(np.sqrt((errors[fitting] ** 2).mean() / 2))
-    covariance = np.linalg.inv(normal) * (max(error, _LEAST_ERROR) * pixel) ** 2  # of surfaces in one plane it is large
-    return start + change, covariance, error, float(fitting.mean())
 
 
 # The option --depth ------------------------------------------------------------------------------------------------

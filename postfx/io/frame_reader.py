@@ -16,7 +16,7 @@ from postfx.errors import MissingPlaneError
 from postfx.files import file_threads, run_in_order
 from postfx.frame import ROLES, ColourSource, Frame, FrameSpec, Role
 from postfx.io.channels import Channel, ChannelIndex, read_channels
-from postfx.io.convert import SEEN, Camera, convert, fill_background_motion
+from postfx.io.convert import Camera, convert, fill_background_motion
 from postfx.io.exr.container import rows_of_task
 from postfx.io.facts import Facts, merge_headers
 from postfx.io.image_file import ImageFile
@@ -37,6 +37,7 @@ from postfx.io.read_plan import (
     missing_error,
 )
 from postfx.io.windows import AREA
+from postfx.motion import MOTION_SOURCES
 from postfx.system import Scratch
 
 FEWEST_ROWS = 64
@@ -356,7 +357,7 @@ class FrameFiles:
     def _derived(self) -> set[Role]:
         """Planes that are not in the files but are made from them."""
         made = {Role.STRENGTH} if self.alone else set()
-        if self._options.estimates_motion and {*SEEN} & self.layout.planes.keys():
+        if self._options.estimates_motion and {*MOTION_SOURCES} & self.layout.planes.keys():
             made.add(Role.MOTION)
         return made - self.layout.planes.keys()
 

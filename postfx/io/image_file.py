@@ -21,7 +21,15 @@ import OpenImageIO as oiio
 from postfx.errors import MissingFrameError, ReadError
 from postfx.files import is_utf8, make_printable
 from postfx.io.exr.container import MAX_SIDE, ExrContainer, NamedPlanes, PlainReader
-from postfx.io.windows import Part, Window, assign_windows, attributes_of, part_of, some_rows, to_area
+from postfx.io.windows import (
+    Part,
+    Window,
+    assign_windows,
+    attributes_of,
+    part_of,
+    some_rows,
+    to_area,
+)
 
 READABLE = (".exr", ".hdr")
 """Endings of files that are looked for in folders."""

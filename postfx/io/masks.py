@@ -26,7 +26,13 @@ from postfx.masks.cryptomatte import (
     snap,
     split_shares,
 )
-from postfx.masks.noise import ERROR_READS, MISS_READS, converged_in_bands, misses_in_bands, parse_threshold
+from postfx.masks.noise import (
+    ERROR_READS,
+    MISS_READS,
+    converged_in_bands,
+    misses_in_bands,
+    parse_threshold,
+)
 from postfx.system import Scratch
 
 _PREFIX = "cryptomatte/"

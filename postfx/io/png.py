@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 from isal import isal_zlib
 
-from postfx.kernels.pixel_formats import paeth
+from postfx.io.pixel_formats import paeth
 
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 """Last bytes of a file."""

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from postfx.kernels.pixel_formats import dither_rows
+from postfx.io.pixel_formats import dither_rows
 
 SIDE = 64
 """Of the square of blue noise, in pixels."""

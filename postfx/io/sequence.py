@@ -18,18 +18,18 @@ from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceE
 from postfx.files import make_printable
 from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import parse_colourspace
-from postfx.io.convert import SEEN
 from postfx.io.frame_reader import READ_ALL, FrameFiles
 from postfx.io.pattern import VIEW, Pattern, Source, format_frames, locate, parse_frames
 from postfx.io.read_options import AUTO_MOTION, ReadOptions, parse_views
 from postfx.io.read_plan import Area, Plans, Settled
 from postfx.io.windows import scale_windows
-from postfx.kernels.statistics import is_finite
 from postfx.masks.cryptomatte import Coverage
+from postfx.motion import MOTION_SOURCES
+from postfx.planes import is_finite
 from postfx.repair import Fireflies, clamp_fireflies
 
 if TYPE_CHECKING:
-    from postfx.io.estimated_motion import Picture
+    from postfx.motion.estimated import Picture
 
 Given = ParamSpec("Given")
 Frames = dict[int, dict[str, Path]]
@@ -376,7 +376,7 @@ class Sequence:
             return asked, ()
         more = tuple(
             role
-            for role in (*SEEN, Role.DEPTH)
+            for role in (*MOTION_SOURCES, Role.DEPTH)
             if role in files.layout.planes and role not in asked
         )
         return asked + more, more
@@ -391,21 +391,21 @@ class Sequence:
         if stored is not None and not is_finite(stored):
             unknown = np.isnan(stored).any(axis=2, keepdims=True)
         is_short = stored is not None and (unknown is not None or not stored.any())
-        if not is_wanted and not (is_short and any(role in frame for role in SEEN)):
+        if not is_wanted and not (is_short and any(role in frame for role in MOTION_SOURCES)):
             return
-        from postfx.io.estimated_motion import (
+        from postfx.motion.estimated import (
             motion_between,
             picture_of,
         )  # few need it, and its kernels take time
 
         before = None if begins else self._picture_before(frame.number)
         picture = picture_of(frame)
-        assert picture is not None, "one of SEEN was read"
+        assert picture is not None, "one of MOTION_SOURCES was read"
         motion = motion_between(before, picture, frame.planes.get(Role.DEPTH))
         self._pictures[self.view] = frame.number, picture
         if not (is_wanted or unknown is not None or motion.any()):
             return
-        seen = ", ".join(role for role in (*SEEN, Role.DEPTH) if role in frame.planes)
+        seen = ", ".join(role for role in (*MOTION_SOURCES, Role.DEPTH) if role in frame.planes)
         some = "" if unknown is None else "some "
         self.warn(
             f"{some}motion is estimated from {seen}, not taken from the files (--motion file: from them alone)"
@@ -417,7 +417,7 @@ class Sequence:
     def _picture_before(self, number: int) -> Picture | None:
         """Of the frame before on the disk, whatever was read last; None where there is none, or it
         cannot be read."""
-        from postfx.io.estimated_motion import picture_of
+        from postfx.motion.estimated import picture_of
 
         for before in self.before(number, 1):
             kept, picture = self._pictures.get(self.view, (None, None))
@@ -425,7 +425,7 @@ class Sequence:
                 return picture
             try:
                 with self.open(before) as files:
-                    held = [role for role in SEEN if role in files.layout.planes]
+                    held = [role for role in MOTION_SOURCES if role in files.layout.planes]
                     return picture_of(files.read(before, held, [])) if held else None
             except PostfxError:
                 return None

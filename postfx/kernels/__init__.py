@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.kernels.library import Rows
+from postfx.compiled.library import Rows
 from postfx.system import models_dir
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -69,7 +69,7 @@ class Kernel:
         writes: names of the arguments that are written, in argument order. One that is also read is changed in place:
             it is one argument, among those that are read, and one output '<name>_out' of the portable definition.
         rows: `rows(y0, y1, *reads, *writes)` computes rows y0 to y1 - 1 of every written argument and nothing else.
-            `postfx.kernels.library.Rows` names one in C++. Any function of these arguments will do, which the
+            `postfx.compiled.library.Rows` names one in C++. Any function of these arguments will do, which the
             device's threads call for bands of rows at once.
         row_axis: the written binding and its axis that count the rows, for example ('output', 0).
         shapes: binding name -> dimensions, each a number or a symbol such as 'height'; a symbol has one value

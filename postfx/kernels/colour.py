@@ -31,9 +31,9 @@ from dataclasses import replace
 import numpy as np
 
 from postfx.colour import LUMA_REC2020
+from postfx.compiled.library import Rows
 from postfx.kernels import BRIGHTEST as BRIGHTEST
 from postfx.kernels import Kernel
-from postfx.kernels.library import Rows
 
 APPLY_CUBE = Kernel(
     name="apply_cube",

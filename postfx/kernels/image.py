@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
-from postfx.kernels.library import Rows
 
 
 def positions(size: int, out_size: int, shift: float = 0.0) -> np.ndarray:

@@ -31,8 +31,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from postfx.compiled.library import Rows
 from postfx.kernels import Blocks, Kernel
-from postfx.kernels.library import Rows
 
 MOST_LAYERS, MOST_WIDTH = 5, 128
 LAYERS, INPUTS, ENCODED, BANDS, ACTIVATION, SIZES = range(6)

@@ -19,8 +19,8 @@ are visibility (h, w): the share of a cosine-weighted hemisphere in which nothin
 
 import numpy as np
 
+from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
-from postfx.kernels.library import Rows
 
 RADIUS, TANGENTS, CAMERA = 9, 10, 12
 SLICES, STEPS = 4, 8

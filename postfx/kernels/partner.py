@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
-from postfx.kernels.library import Rows
 
 MOST_LIGHT = np.float32(1e30)
 """Exposed light: more counts as this much."""

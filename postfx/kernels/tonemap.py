@@ -37,8 +37,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
-from postfx.kernels.library import Rows
 
 SIDE = 256
 

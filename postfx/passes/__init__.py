@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from postfx.errors import FrameError, NotCompiledError, PassOptionError
 from postfx.frame import ROLES, Frame, FrameSpec, GuideSpec, Role
-from postfx.kernels.statistics import is_blank
+from postfx.planes import is_blank
 from postfx.runtime.memory import follow_torch
 
 if TYPE_CHECKING:

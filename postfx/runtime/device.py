@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from postfx.compiled.calls import BoundRows
 from postfx.errors import BindingError, DeviceError, ModelError, PostfxError
 from postfx.frame import LOG
 from postfx.kernels import find_source
-from postfx.kernels.native import BoundRows
 from postfx.runtime.capture import Capture
 from postfx.runtime.commands import CommandBuffer
 from postfx.runtime.convolutions import Head, read_layers
@@ -28,7 +28,17 @@ from postfx.runtime.cuda import CudaMemory
 from postfx.runtime.encoders import Recordings
 from postfx.runtime.hazards import Hazards
 from postfx.runtime.heap import Heap
-from postfx.runtime.memory import CUDA, HOST, HOST_KINDS, HostMemory, Immediate, Memory, address, borrow, byte_span
+from postfx.runtime.memory import (
+    CUDA,
+    HOST,
+    HOST_KINDS,
+    HostMemory,
+    Immediate,
+    Memory,
+    address,
+    borrow,
+    byte_span,
+)
 from postfx.runtime.model_file import Product, fix_dimensions, take_products
 from postfx.runtime.models import Library
 from postfx.runtime.session import (

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from postfx.kernels.statistics import WORTH, copy_pieces, share
+from postfx.planes import WORTH, copy_pieces, share
 from postfx.system import Scratch
 
 T = TypeVar("T")

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
+from postfx.compiled.calls import bind_rows
+from postfx.compiled.library import Rows
 from postfx.errors import BindingError, ModelError
-from postfx.kernels.library import Rows
-from postfx.kernels.native import bind_rows
 from postfx.runtime.convolutions import HALF, Convolutions, Gpu, Head, Layer, give_heads
 from postfx.runtime.model_file import Product
 from postfx.runtime.session import FirstRun, Session, TableSession

@@ -5,7 +5,7 @@ interpreter's lock, before it goes to sleep, and a thread that waits for helpers
 and ended without that lock, too: with sixteen threads they would wait for it longer than they run.
 
 Each helper has a row of ``board`` (n, LINE) of int64, a cache line: its flag, and what to run: the ``ENTRY`` and the
-``WORDS`` of compiled rows (`postfx.kernels.native.BoundRows`), or ``PYTHON``. A helper that is ``WAITING`` spins; then
+``WORDS`` of compiled rows (`postfx.compiled.calls.BoundRows`), or ``PYTHON``. A helper that is ``WAITING`` spins; then
 it is ``DOZING`` for a while, asleep where one call of Linux wakes it; then ``AWAY``, for Python to start it again. That
 takes so long that, of sixteen threads, the first would be away again before the last is back, kernel after kernel.
 """
@@ -24,9 +24,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from postfx.compiled.calls import BoundRows
+from postfx.compiled.library import Function
 from postfx.errors import CommandError, CommandTimeout
-from postfx.kernels.library import Function
-from postfx.kernels.native import BoundRows
 from postfx.workers import Workers
 
 LOOK = 100e-6

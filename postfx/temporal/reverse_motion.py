@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from postfx.compiled.calls import whole
+from postfx.compiled.library import Rows
 from postfx.cuts import CutDetector
 from postfx.frame import Frame, Role
-from postfx.kernels.library import Rows
-from postfx.kernels.statistics import whole
 from postfx.repair import still_where_unknown
 
 LONGEST = 8

@@ -11,8 +11,8 @@ pytest.importorskip("flip_evaluator", reason="needs the extra 'bench'")
 from postfx.bench import measure  # noqa: E402
 from postfx.bench.measure import Task, peak_memory, run_task, timing  # noqa: E402
 from postfx.bench.methods import OTHERS, Method  # noqa: E402
+from postfx.compiled import library  # noqa: E402
 from postfx.errors import BenchError  # noqa: E402
-from postfx.kernels import library  # noqa: E402
 
 
 def test_timing_of_runs():

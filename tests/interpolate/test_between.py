@@ -11,7 +11,7 @@ from postfx import Between, Interpolator
 from postfx.errors import FrameError
 from postfx.frame import Frame, PartSource, Role
 from postfx.interpolate import paths
-from postfx.interpolate.flow import find_overlay
+from postfx.interpolate.overlays import find_overlay
 from tests.interpolate.conftest import DISC, HEIGHT, RADIUS, SIZE, WIDTH, picture
 
 INNER = np.s_[8:-8, 8:-8]

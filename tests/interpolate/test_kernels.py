@@ -7,7 +7,8 @@ import pytest
 
 from postfx import Between
 from postfx.frame import Frame, Role
-from postfx.interpolate import blend, choose, flow, paths, timing
+from postfx.interpolate import blend, choose, paths, timing
+from postfx.motion import flow
 
 
 def bilinear(picture: np.ndarray, y: float, x: float, rows: int, columns: int) -> np.ndarray:

@@ -11,16 +11,17 @@ import pytest
 
 from postfx import Between
 from postfx.bench.baselines import Accumulator, HostKernels
+from postfx.compiled import build, library
+from postfx.compiled.library import Rows
 from postfx.frame import Frame, Role
-from postfx.interpolate import blend, choose, flow, paths, timing
-from postfx.io.estimated_motion import motion_of
-from postfx.kernels import build, library
-from postfx.kernels.library import Rows
+from postfx.interpolate import blend, choose, paths, timing
+from postfx.motion import flow
+from postfx.motion.estimated import motion_of
 from postfx.runtime import Device
 from postfx.temporal.reverse_motion import HistoryLength, premultiply, share_by_length
 from tests.conftest import REPOSITORY
 
-SOURCES = [*sorted((build.HERE / "interpolate").glob("*.cpp")), build.HERE / "accumulate.cpp"]
+SOURCES = [*sorted((build.KERNELS / "interpolate").glob("*.cpp")), build.KERNELS / "accumulate.cpp"]
 NAMES = [name for source in SOURCES for name in re.findall(r"^EXPORT\((\w+),", source.read_text("utf-8"), re.M)]
 SPREADING = {"search_flow", "spread_flow", "enlarge_flow", "find_overlay", "fill_holes", "estimate_average",
              "estimate_sample", "sum_sparks", "grow_marks"}
@@ -133,7 +134,7 @@ def test_every_level_gives_the_same_bits_whatever_is_given(name: str, calls: dic
 def test_constants_of_the_kernels_are_those_of_python() -> None:
     checked = 0
     modules = {module.__name__.rpartition(".")[2]: module for module in (blend, choose, flow, paths, timing)}
-    for source in (build.HERE / "interpolate").glob("*.[hc]*"):
+    for source in (build.KERNELS / "interpolate").glob("*.[hc]*"):
         module = modules.get(source.stem)
         text = source.read_text("utf-8")
         for name, value in re.findall(r"^constexpr (?:float|int) ([A-Z_]+) = (-?[\d.e+-]+)f?;", text, re.M):

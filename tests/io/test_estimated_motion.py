@@ -12,8 +12,8 @@ import pytest
 from postfx.cli.main import main
 from postfx.errors import FrameError, SequenceError
 from postfx.frame import Frame, Role
-from postfx.io.estimated_motion import motion_of, picture_of
 from postfx.io.sequence import Sequence, read_sequence
+from postfx.motion.estimated import motion_of, picture_of
 from tests.integrate.pinhole import hit_plane, hit_sphere, turned
 
 HEIGHT, WIDTH = 108, 192

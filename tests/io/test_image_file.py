@@ -13,7 +13,7 @@ from postfx.errors import MissingFrameError, ReadError
 from postfx.io.exr import container
 from postfx.io.exr.container import ExrContainer, PlainReader
 from postfx.io.image_file import ImageFile
-from postfx.kernels.pixel_formats import (
+from postfx.io.pixel_formats import (
     compress_rows,
     decompress_rows,
     predict_bytes,

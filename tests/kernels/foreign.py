@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from postfx.kernels import build
+from postfx.compiled import build
 from tests.made_once import copy_made_once
 
 EMULATOR = shutil.which("qemu-aarch64-static") or shutil.which("qemu-aarch64")

@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from postfx.kernels.build import X86_64
+from postfx.compiled.build import X86_64
 from tests.kernels.kernel_times import ROOT, Side, in_turn, unpack
 
 CALLS = {
@@ -41,7 +41,8 @@ from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.io.exr.picture import to_halves
 from postfx.io.quantisation import Dither, quantise
-from postfx.kernels import library, pixel_formats
+from postfx.compiled import library
+    from postfx.io import pixel_formats
 from postfx.passes.denoise.planes import near_cells, shows_volume
 from postfx.passes.denoise.tiling import active_cells
 from postfx.repair import repair_nonfinite

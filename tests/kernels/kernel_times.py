@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
+from postfx.compiled.build import X86_64
 from postfx.kernels import Kernel
-from postfx.kernels.build import X86_64
 from tests.kernels import denoise_cases, neural_cases, tonemap_cases
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,7 +36,7 @@ import sys, time
 from importlib import import_module
 import numpy as np
 module, name, folder, level = sys.argv[1:]
-from postfx.kernels.native import bind_rows
+from postfx.compiled.calls import bind_rows
 kernel = getattr(import_module(module), name)
 rows = kernel.rows
 if type(rows).__name__ == "Rows":

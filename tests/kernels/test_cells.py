@@ -10,17 +10,11 @@ from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.kernels.image import compare_places
 from postfx.kernels.statistics import (
-    INFINITY_BITS,
     band_of,
     block_means,
     bounds_of_cells,
     coverage_noise,
     half_means,
-    is_blank,
-    is_finite,
-    is_same_plane,
-    largest_bits_of,
-    lend,
     limit_depths,
     mark_positive,
     mix_places,
@@ -29,6 +23,7 @@ from postfx.kernels.statistics import (
     places_inside,
     true_correlation,
 )
+from postfx.planes import INFINITY_BITS, is_blank, is_finite, is_same_plane, largest_bits_of, lend
 from postfx.repair import repair_nonfinite
 from postfx.sampling import bilinear, is_inside
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.kernels import Kernel, library
+from postfx.compiled import library
+from postfx.compiled.library import Rows, has_byte_products
+from postfx.kernels import Kernel
 from postfx.kernels.denoise import FINE, MIX
 from postfx.kernels.denoise.features import FEATURE, STORED_FEATURE
 from postfx.kernels.denoise.network_io import (
@@ -30,7 +32,6 @@ from postfx.kernels.denoise.upsample import (
     UPSAMPLE_UNSCALED,
 )
 from postfx.kernels.image import RESAMPLE, positions
-from postfx.kernels.library import Rows, has_byte_products
 from postfx.passes.denoise.network import stored_channels
 from postfx.runtime import Device
 from tests.kernels.denoise_cases import CASES, KERNELS, ODD, Case, arguments, case_for, run, runs_of

@@ -14,17 +14,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.compiled import build, library
+from postfx.compiled.library import Rows
 from postfx.errors import BindingError, DeviceError
-from postfx.kernels import Kernel, build, constants_of, find_source, library
+from postfx.kernels import Kernel, constants_of, find_source
 from postfx.kernels.denoise import FINE
 from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.features import FEATURE
 from postfx.kernels.denoise.history import HISTORY, KEEP
 from postfx.kernels.denoise.network_io import OPEN_PHASED
-from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECODE_ONE, UPSAMPLE_LIGHT
+from postfx.kernels.denoise.parts import (
+    ACCUMULATE_PART,
+    BALANCE,
+    DECODE,
+    DECODE_ONE,
+    UPSAMPLE_LIGHT,
+)
 from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, MIX_LEVELS, POOL, REMODULATE
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
-from postfx.kernels.library import Rows
 from postfx.kernels.occlusion import LOOK, SURFACE
 from postfx.runtime import ArgumentTable, Device
 from tests.conftest import REPOSITORY
@@ -335,7 +342,7 @@ def test_it_is_compiled_again_when_it_changes_or_is_damaged(plug_in: Path) -> No
 
 @needs_compiler
 def test_several_processes_at_once_compile_it_once(plug_in: Path) -> None:
-    code = ("import sys; from pathlib import Path; from postfx.kernels import build; "
+    code = ("import sys; from pathlib import Path; from postfx.compiled import build; "
             "build.build([Path(sys.argv[1])], build.this_target(), Path(sys.argv[2]))")
     folder = plug_in.parent / "cache"
     many = [subprocess.Popen([sys.executable, "-c", code, plug_in, folder], cwd=REPOSITORY) for _ in range(3)]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from postfx import Device
-from postfx.kernels import Kernel, library
-from postfx.kernels.library import Rows
+from postfx.compiled import library
+from postfx.compiled.library import Rows
+from postfx.kernels import Kernel
 from postfx.kernels.mlp import STRIP, mlp, mlp_features, mlp_space
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable

@@ -6,10 +6,11 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from postfx.kernels import Kernel, library
+from postfx.compiled import library
+from postfx.compiled.library import Rows
+from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, CONVERT_PRIMARIES, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD
-from postfx.kernels.library import Rows
 from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
 from postfx.system import models_dir
 from tests.kernels.tonemap_cases import HOLDS, PACES, SHAPER, Hold, Pace, arguments, sizes

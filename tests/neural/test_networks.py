@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
+from postfx.compiled import library
 from postfx.errors import BindingError, ModelError
-from postfx.kernels import library
 from postfx.kernels.neural import ADAM, FORWARD, GRADIENTS, GRID, GRID_PULL, GRID_STEP, UNITS
 from postfx.neural import DECAYS, EPSILON, Grid, Learner, Network
 from postfx.runtime import ArgumentTable, Device, Library

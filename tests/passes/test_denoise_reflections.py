@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postfx.compiled.library import Rows
 from postfx.frame import Frame, Role
 from postfx.integrate import pixel_positions, project
 from postfx.kernels.denoise.history import REFLECTIONS
-from postfx.kernels.library import Rows
 from postfx.passes import ResidentFrame
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.history import NO_CAMERA, NO_FIT, Camera, Cameras

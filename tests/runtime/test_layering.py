@@ -62,6 +62,16 @@ def import_graph(package: Path) -> dict[str, set[str]]:
     return graph
 
 
+def test_files_know_neither_kernels_nor_what_is_made_of_frames():
+    graph = import_graph(PACKAGE)
+    rooms = {name: {".".join(one.split(".")[:2]) for one in found} for name, found in graph.items()}
+    above = {"postfx.kernels", "postfx.interpolate", "postfx.passes", "postfx.runtime", "postfx.pipeline"}
+    for name in ("postfx.compiled", "postfx.motion", "postfx.io"):
+        found = {one for module in graph if f"{module}.".startswith(f"{name}.") for one in rooms[module]}
+        assert not found & above, name
+        assert name != "postfx.motion" or "postfx.io" not in found
+
+
 def test_no_imports_run_in_a_circle():
     TopologicalSorter(import_graph(PACKAGE)).prepare()
 

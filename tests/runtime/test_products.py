@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.kernels.library import has_byte_products
+from postfx.compiled.library import has_byte_products
 from postfx.runtime import ArgumentTable, Device, Library, PipelineState
 from postfx.runtime.model_file import take_products
 

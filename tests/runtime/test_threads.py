@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.kernels.library import Rows
-from postfx.kernels.native import BoundRows, bind_rows
+from postfx.compiled.calls import BoundRows, bind_rows
+from postfx.compiled.library import Rows
 from postfx.runtime import threads
 from postfx.runtime.threads import LOOK, NANOSECONDS, Band, Helpers
 

@@ -386,7 +386,7 @@ class PlainReader:
                 ) -> bool:
         """Put chunks, whose rows begin with `top`, into planes whose rows begin with `first`; False where one is
         broken."""
-        from postfx.kernels.pixel_formats import decompress_rows, widen_rows  # headers must not wait
+        from postfx.io.pixel_formats import decompress_rows, widen_rows  # headers must not wait
 
         words = np.empty((min(len(stored) * self._lines, self._height - top), self._words), np.uint16)
         for i, chunk in enumerate(stored):
@@ -528,7 +528,7 @@ def _plain_chunks(header: Header, read: Rows, apart: bool) -> Iterator[tuple[int
 def _pack(get: Callable[[], Sequence[np.ndarray]], line_bytes: int, lines: int, top: int, compression: int
           ) -> list[bytes]:
     """Chunks of the channels (rows, width) that `get` gives; the number of their first row is `top`."""
-    from postfx.kernels.pixel_formats import compress_rows  # reading must not wait
+    from postfx.io.pixel_formats import compress_rows  # reading must not wait
 
     channels, at = get(), 0
     stored = np.empty((len(channels[0]), line_bytes), np.uint8)

@@ -30,7 +30,14 @@ from postfx.files import output_file
 from postfx.frame import Role
 from postfx.io.channels import read_channels
 from postfx.io.exr import ChannelInfo, Header, text
-from postfx.io.exr.container import FLOAT, HALF, ExrContainer, NewPart, picture_part, write_container
+from postfx.io.exr.container import (
+    FLOAT,
+    HALF,
+    ExrContainer,
+    NewPart,
+    picture_part,
+    write_container,
+)
 from postfx.io.exr.passthrough import resize_header
 from postfx.io.frame_reader import FrameFiles
 from postfx.io.read_options import ReadOptions

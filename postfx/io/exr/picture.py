@@ -22,8 +22,8 @@ from postfx.io.exr import Header, read_headers
 from postfx.io.exr.container import Rows, picture_part, write_container
 from postfx.io.exr.passthrough import merge_source
 from postfx.io.exr.views import View, merge_views
+from postfx.io.pixel_formats import halve, look_up
 from postfx.io.windows import Pixels
-from postfx.kernels.pixel_formats import halve, look_up
 
 TABLE_STEPS = 1 << 16
 """Of the table from code values to light."""

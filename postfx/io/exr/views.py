@@ -17,7 +17,14 @@ from postfx.errors import WriteError
 from postfx.frame import ColourSource, Frame
 from postfx.io.exr import ChannelInfo, Header, pack_channels
 from postfx.io.exr.container import ExrContainer, NewPart, Rows, picture_part
-from postfx.io.exr.passthrough import Enlargement, Merge, alpha_of, enlarge_rows, enlargement_of, resize_header
+from postfx.io.exr.passthrough import (
+    Enlargement,
+    Merge,
+    alpha_of,
+    enlarge_rows,
+    enlargement_of,
+    resize_header,
+)
 from postfx.io.image_file import ImageFile
 from postfx.io.windows import PICTURE, Part, Window
 

@@ -29,8 +29,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
-from postfx.kernels.library import Rows
 
 HIDDEN = 8
 STATE = 4 + HIDDEN

@@ -8,6 +8,7 @@ motion 25, inverse scale 26, hidden state 27. The torch definition is ``training
 
 import numpy as np
 
+from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import (
     FEATURES,
@@ -19,7 +20,6 @@ from postfx.kernels.denoise import (
     kernel,
 )
 from postfx.kernels.denoise.network_io import PACK, width
-from postfx.kernels.library import Rows
 
 LOOKS = ("colour", *REFLECTANCE, "normal", "roughness", "depth", "moved", "state", "last_depth", "warped",
          "depth_scale", "params", "window", "keep", "seen_rows", "seen_columns")

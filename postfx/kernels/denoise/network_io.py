@@ -27,9 +27,9 @@ meaning. With a ring, it has one more row and column on every side, where all ch
 
 from __future__ import annotations
 
+from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
 from postfx.kernels.denoise import FINE, KERNEL, in_half, kernel
-from postfx.kernels.library import Rows
 
 LANES = 8
 LEVEL = KERNEL + 1

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from postfx.compiled.library import has_byte_products
 from postfx.errors import ModelError, PassOptionError
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY
-from postfx.kernels.library import has_byte_products
 from postfx.passes.denoise.tiling import LEVELS
 from postfx.runtime import Device, Library, PipelineState
 from postfx.runtime.convolutions import Head

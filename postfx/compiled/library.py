@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
+from postfx.compiled import build
+from postfx.compiled.calls import BoundRows, Form, Kinds, kinds_of
 from postfx.errors import BindingError, DeviceError
-from postfx.kernels import build
-from postfx.kernels.native import BoundRows, Form, Kinds, kinds_of
 from postfx.system import private_folder
 
 FOLDER = "native"
@@ -156,7 +156,7 @@ def _form(name: str, header: Path | None, level: str | None, kinds: Kinds) -> Fo
     try:
         takes = getattr(library, f"{name}_takes")
     except AttributeError:
-        raise _no_kernel(header or build.HERE, name) from None
+        raise _no_kernel(header or build.KERNELS, name) from None
     takes.restype = ctypes.c_char_p
     wanted, given = list(_split(takes().decode())), [_written(kind) for kind in kinds]
     fits = len(wanted) == len(given) and all(one in (other, f"{other[:-1]}r") for one, other in
@@ -189,7 +189,7 @@ def open_library(name: str, header: Path | None = None, level: str | None = None
         return ctypes.CDLL(str(_find_or_build([header], level, own=False)))
     part = _parts().get(name)
     if part is None:
-        raise _no_kernel(build.HERE, name)
+        raise _no_kernel(build.KERNELS, name)
     path = _whole_library(level) or _find_or_build([part.unit], level, own=True, flags=part.flags)
     return ctypes.CDLL(str(path))
 

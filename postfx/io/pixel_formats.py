@@ -9,8 +9,8 @@ import deflate
 import numpy as np
 from isal import isal_zlib
 
-from postfx.kernels.library import Rows
-from postfx.kernels.statistics import whole
+from postfx.compiled.calls import whole
+from postfx.compiled.library import Rows
 
 _halve_pixels = Rows("halve_pixels")
 _widen_rows = Rows("widen_rows")

@@ -14,12 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from postfx.compiled.calls import whole
+from postfx.compiled.library import Rows
 from postfx.errors import FrameError
 from postfx.frame import DEPTH_MISS, Frame, Role
-from postfx.interpolate.flow import consistent_motion, enlarge_motion, estimate_motion
-from postfx.io.convert import SEEN, camera_equations, centre_positions, fit_camera
-from postfx.kernels.library import Rows
-from postfx.kernels.statistics import whole
+from postfx.motion import MOTION_SOURCES
+from postfx.motion.camera import camera_equations, centre_positions, fit_camera
+from postfx.motion.flow import consistent_motion, enlarge_motion, estimate_motion
 from postfx.system import usable_cores
 from postfx.workers import Workers
 
@@ -53,7 +54,7 @@ class Picture(NamedTuple):
 
 def picture_of(frame: Frame) -> Picture | None:
     """The picture of a frame that has the plane diffuse_albedo or normal; None without both."""
-    albedo, normal = (frame.planes.get(role) for role in SEEN)
+    albedo, normal = (frame.planes.get(role) for role in MOTION_SOURCES)
     held = albedo if albedo is not None else normal
     if held is None:
         return None
@@ -72,7 +73,7 @@ def motion_of(frame: Frame, before: Frame | None) -> np.ndarray:
     picture = picture_of(frame)
     if picture is None:
         raise FrameError(f"{frame.source or 'frame'}: motion cannot be estimated without one of the planes "
-                         f"{', '.join(SEEN)}: render them")
+                         f"{', '.join(MOTION_SOURCES)}: render them")
     return motion_between(None if before is None else picture_of(before), picture, frame.planes.get(Role.DEPTH))
 
 

@@ -25,8 +25,10 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-HERE = Path(__file__).resolve().parent
-PACKAGED = HERE.parent / "_native"
+PACKAGE = Path(__file__).resolve().parent.parent
+KERNELS = PACKAGE / "kernels"
+"""All C++, and the headers that it shares."""
+PACKAGED = PACKAGE / "_native"
 """The libraries of a wheel, or of a checkout."""
 ZIG = "0.17.1"
 """The compiler's version; another one may give other bits. `pyproject.toml` has the same."""
@@ -84,13 +86,13 @@ def this_target() -> str:
 
 # Sources
 
-PROBE = [HERE / "level.cpp"]
+PROBE = [KERNELS / "level.cpp"]
 """What tells the levels of a processor, in a library of its own for the lowest one."""
 
 
 def our_units() -> list[Path]:
     """The files that are compiled into our library."""
-    return sorted({*HERE.rglob("*.cpp")} - {*PROBE})
+    return sorted({*KERNELS.rglob("*.cpp")} - {*PROBE})
 
 
 def sources_of(unit: Path) -> list[Path]:
@@ -105,7 +107,7 @@ def sources_of(unit: Path) -> list[Path]:
 def _headers_of(path: Path, changed_ns: int) -> tuple[Path, ...]:
     """The headers that a file includes itself, as of when it changed: many files include the same ones."""
     names = re.findall(r'^#include "(.+)"', path.read_text("utf-8"), re.M)
-    places = [[(folder / name).resolve() for folder in (path.parent, HERE)] for name in names]
+    places = [[(folder / name).resolve() for folder in (path.parent, KERNELS)] for name in names]
     held = [[place for place in both if place.exists()][:1] for both in places]
     return tuple(header for one in held for header in one)
 
@@ -246,7 +248,7 @@ class _Compiler:
     def _compile(self, unit: Path, level: str, made: Path) -> None:
         kept = self._folder / made.name
         language = ("-x", "c++") if unit.suffix == ".h" else ()
-        self._run(level, *FLAGS, *self._flags, "-I", HERE, "-c", "-o", kept, *language, unit)
+        self._run(level, *FLAGS, *self._flags, "-I", KERNELS, "-c", "-o", kept, *language, unit)
         os.replace(kept, made)
 
     def _run(self, level: str, *arguments: str | Path) -> None:

@@ -129,3 +129,10 @@ def bind_rows(rows: Callable[..., None], arrays: Sequence[np.ndarray]) -> Callab
         bound: Callable[[int, int], None] = rows.bind(arrays)
         return bound
     return lambda first, last: rows(first, last, *arrays)
+
+
+def whole(array: np.ndarray, dtype: type) -> np.ndarray:
+    """The array without gaps, at an address that its numbers may have: those of a file's bytes may
+    lie anywhere."""
+    found: np.ndarray = np.require(array, dtype, ("C_CONTIGUOUS", "ALIGNED"))
+    return found

@@ -1,5 +1,5 @@
-"""What two pictures show that their planes do not tell: motion, for frames without vectors and for what does not move
-along with its surface, and overlays, which lie over the scene and do not move as it does.
+"""Motion that two pictures show and their planes do not tell: for frames without vectors, and for what does not move
+along with its surface.
 
 Dense inverse search (Kroeger, Timofte, Dai and Van Gool 2016, "Fast Optical Flow using Dense Inverse Search"): from
 coarse to fine, patches on a grid take over a neighbour's motion where it fits better, are moved by Gauss-Newton steps,
@@ -14,22 +14,23 @@ import math
 import numpy as np
 
 from postfx.caching import filled_array, new_array
-from postfx.interpolate.choose import LUMINANCE
-from postfx.kernels.library import Rows
-from postfx.kernels.statistics import whole
-from postfx.sampling import local_sum
+from postfx.colour import LUMA_REC709
+from postfx.compiled.calls import whole
+from postfx.compiled.library import Rows
 from postfx.system import in_bands
 
-PATCH, STRIDE = 8, 4
-"""Pixels along a patch's side, and from one patch to the next."""
+PATCH = 8
+"""Pixels along a patch's side."""
+STRIDE = 4
+"""Pixels from one patch to the next."""
 MARGIN = PATCH + 2
 """Pixels around a picture that is searched: its edges, repeated."""
 COARSEST = 20
 """Pixels along the shorter side of the smallest picture that is searched."""
-COVERED = 0.98
-"""Coverage from which an overlay hides the picture."""
 FINEST = 1
 """Halvings after which pictures are not searched finer: motion is interpolated from there."""
+LUMINANCE = np.array(LUMA_REC709, np.float32)
+"""Shares of channels in how bright a colour is (BT.709)."""
 
 # Kernels: postfx/kernels/interpolate/flow.cpp
 
@@ -40,7 +41,6 @@ _search = Rows("search_flow")
 _spread = Rows("spread_flow")
 _keep_consistent = Rows("keep_consistent")
 _move = Rows("move_flow")
-_find_overlay = Rows("find_overlay")
 
 
 def estimate_motion(after: np.ndarray, before: np.ndarray, finest: int = FINEST) -> np.ndarray:
@@ -128,38 +128,3 @@ def bring_to_time(flow: np.ndarray, known: np.ndarray, one: np.ndarray, other: n
         planes = (whole(plane, np.float32) for plane in (flow, known, one, other))
         _move(0, len(flow), *planes, np.array((1 / scale, share), np.float32), filled_array(one.shape, 2), brought)
     return brought
-
-
-# Overlays: found in pictures, taken out, and told from pictures without them.
-
-
-def find_overlay(before: np.ndarray, after: np.ndarray, motion: np.ndarray, reach: int, known: np.ndarray) -> None:
-    """Mark as unknown, in `known` (h, w), what is drawn over both pictures (h, w, 3) and stands still while the scene
-    behind it moves: its motion (h, w, 2) is half a pixel or more.
-
-    Such pixels have the same bits in both frames and an edge beside them that has, too; `reach` pixels with the same
-    bits around them belong to them.
-    """
-    planes = (whole(plane, np.float32) for plane in (before, after, motion))
-    _find_overlay(0, 1, *planes, np.array([reach], np.float32), known)
-
-
-def remove_overlay(colour: np.ndarray, overlay: np.ndarray) -> np.ndarray:
-    """The picture under an overlay that was composited over it; black where nothing of it is left."""
-    clear = 1 - overlay[..., 3:]
-    picture = np.zeros_like(colour)
-    np.divide(colour - overlay[..., :3], clear, out=picture, where=clear > 1 - COVERED)
-    return picture
-
-
-def measure_clearness(one: np.ndarray, other: np.ndarray, below: np.ndarray, below_other: np.ndarray) -> np.ndarray:
-    """How much of the picture an overlay lets through (h, w, 1), 0 to 1, by the difference of two frames with and
-    without it: least squares of colour = overlay + clearness * picture over 5x5 pixels, for an overlay that stands
-    still. 1 where the picture does not change, as it makes no difference there."""
-    change, seen = below_other - below, other - one
-    product, square = (local_sum((change * by).sum(-1), 2) for by in (seen, change))
-    clear = np.divide(product, square, out=np.ones_like(square), where=square > 0).clip(0, 1)
-    still = (seen == 0).all(-1) & (change != 0).any(-1)
-    clear[still] = 0  # to the pixel, where nothing comes through
-    found: np.ndarray = clear[..., None]
-    return found
