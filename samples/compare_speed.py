@@ -4,8 +4,8 @@
     python samples/compare_speed.py --device cuda --runs 50 --models s,m
 
 It needs pip install '.[bench]', on a GPU also PyTorch with CUDA. postfx turns noisy frames of the given
-size into twice as large, tone-mapped ones. OIDN (clean albedo and normal) denoises a frame of the same size and one of
-the output's size. Prints medians, spread and ratios. On the CPU times are those of whole calls. On a GPU they are the
+size into twice as large, tone-mapped ones, or by --scale 1 into ones of the same size. OIDN (clean albedo and normal)
+denoises a frame of the same size and one of the output's size. Prints medians, spread and ratios. On the CPU times are those of whole calls. On a GPU they are the
 device's own, between its first and last command: all planes lie there for both, and nothing is copied.
 """
 import argparse
@@ -77,12 +77,13 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=960)
     parser.add_argument("--height", type=int, default=540)
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--scale", type=int, default=2, choices=(1, 2), help="of postfx's output (default: 2)")
     parser.add_argument("--models", default="m.fp32,m,s", help="tags of networks, comma-separated")
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
     parser.add_argument("--quality", default="high", help="of OIDN: high (default), balanced, fast; comma-separated")
     args = parser.parse_args()
     frame, device = noisy_frame(args.width, args.height), Device(args.device)
-    chains = {f"postfx {tag}": postfx.Pipeline([postfx.DenoiseUpscale(scale=2, model=tag), postfx.ToneMap()], device)
+    chains = {f"postfx {tag}": postfx.Pipeline([postfx.DenoiseUpscale(scale=args.scale, model=tag), postfx.ToneMap()], device)
               for tag in args.models.split(",")}
     for chain in 4 * list(chains.values()):
         timed(chain, frame)
@@ -90,7 +91,7 @@ def main() -> None:
     ways = {name: lambda chain=chain: timed(chain, frame) for name, chain in chains.items()}
     oidn = oidn_on_cpu if device.memory.host_visible else oidn_on_gpu
     for quality in args.quality.split(","):
-        for scale, size in ((1, "render size"), (2, "output size")):
+        for scale, size in ((1, "render size"), (2, "output size"))[:args.scale]:
             ways[f"OIDN {quality}, {size}"] = lambda scale=scale, quality=quality: oidn(frame, scale, quality)
     found = {name: [] for name in ways}
     for _ in range(args.runs):

@@ -122,7 +122,8 @@ def error_of_half(
     error = tile_means(apart**2 + apart * (noise - noise_other) + noise * noise_other, side)
     varies = tile_means(np.square(to_codes(clean, 1.0) - to_codes(clean_other, 1.0)) / 2, side)
     varies = np.maximum(varies, LEAST)
-    return varies * np.maximum(_around(error) / _around(varies), FLOOR)
+    found: np.ndarray = varies * np.maximum(_around(error) / _around(varies), FLOOR)
+    return found
 
 
 def _around(tiles: np.ndarray) -> np.ndarray:

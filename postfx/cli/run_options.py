@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 PRESETS: dict[str, dict[str, Any]] = {
     "preview": {"model": "s", "run_up": 0, "preroll": 0, "fast_look": True},
-    "final": {"both_ways": True, "with": "auto"},
+    "final": {"model": "l", "both_ways": True, "with": "auto"},
     "animation": {"both_ways": True, "exposure": "smooth"},
 }
 """Preset -> option -> value; `--preset` says them in words."""
@@ -223,8 +223,8 @@ def _list_passes() -> str:
 
 DENOISING = Section("denoising and size", (
     Option(flag="--preset", basic=True, choices=tuple(PRESETS), changes="nothing",
-           help="preview: the fastest (--model s --run-up 0 --preroll 0 --fast-look); final: the cleanest (--both-ways "
-           "--with auto); animation: steady brightness (--both-ways --exposure smooth). Options that you give yourself "
+           help="preview: the fastest (--model s --run-up 0 --preroll 0 --fast-look); final: the cleanest (--model l "
+           "--both-ways --with auto); animation: steady brightness (--both-ways --exposure smooth). Options that you give yourself "
            "win"),
     Option(flag="--scale", basic=True, metavar="S", type=float, either="size", sets="denoiser.scale",
            excludes=_FOR_DENOISER,

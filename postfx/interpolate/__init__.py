@@ -584,4 +584,5 @@ def _finite(plane: np.ndarray) -> np.ndarray:
     plane = np.ascontiguousarray(plane)
     if largest_bits_of(plane) <= MOST_LIGHT.view(np.uint32):
         return plane
-    return np.nan_to_num(plane, nan=0, posinf=0, neginf=0).clip(-MOST_LIGHT, MOST_LIGHT)
+    found: np.ndarray = np.nan_to_num(plane, nan=0, posinf=0, neginf=0).clip(-MOST_LIGHT, MOST_LIGHT)
+    return found

@@ -39,7 +39,7 @@ def parse(*words: str):
 def test_a_preset_sets_what_is_not_given(places):
     assert (parse("--preset", "preview").model, parse("--preset", "preview").run_up) == ("s", 0)
     final = parse("--preset", "final", "--model", "m")
-    assert (final.model, final.both_ways) == ("m", True) and parse("--preset", "final").model is None
+    assert (final.model, final.both_ways) == ("m", True) and parse("--preset", "final").model == "l"
     steady = parse("--preset", "animation", "--exposure", "auto")  # its default, and given all the same
     assert (steady.both_ways, steady.exposure) == (True, "auto")
 

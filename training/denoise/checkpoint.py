@@ -198,7 +198,8 @@ def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None, newer: f
             raise ValueError(f"{path}: another layout than {parts[0][0]}: {fault}") from None
     weights = {name: sum(share * one[name].float() for one, share in found) for name in first["weights"]}
     told = " + ".join(f"{share:g} {path}" for path, share in parts)
-    begun = {"start": one["notes"]["start"] for one in read_parts if "start" in one["notes"]}
+    starts = [one["notes"]["start"] for one in read_parts if "start" in one["notes"]]
+    begun = {"start": starts[-1]} if starts else {}
     config = first["config"]
     if levels is not None:
         weights, config = keep_levels(weights, levels), {**config, "widths": config["widths"][:levels]}

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+import torch.nn.functional as F
 from torch import nn
 
 from postfx.kernels.denoise import CONTROLS as CONTROL_COUNT
@@ -232,7 +233,8 @@ class ExportedResidual(ResidualTrunk):
 
 
 class ExportedPicture(PictureNetwork):
-    """The same network, except that it reads the features in parts."""
+    """The same network, except that it reads the features in parts, and adds convolutions over odd numbers of channels:
+    ONNX Runtime keeps its layout of blocks of channels only where their number is even."""
 
     def __init__(self, trunk: PictureNetwork):
         super().__init__(trunk.config)
@@ -240,6 +242,14 @@ class ExportedPicture(PictureNetwork):
 
     def forward(self, first: torch.Tensor, last: torch.Tensor, mirrored: torch.Tensor) -> tuple[torch.Tensor, ...]:
         return super().forward(torch.cat((first, last), 1), mirrored)
+
+    @staticmethod
+    def convolve(layer: nn.Conv2d, *inputs: torch.Tensor) -> torch.Tensor:
+        weights = layer.weight.split([values.shape[1] for values in inputs], 1)
+        found = F.conv2d(inputs[0], weights[0], layer.bias, padding=layer.padding)
+        for values, some in zip(inputs[1:], weights[1:], strict=True):
+            found = found + F.conv2d(values, some, padding=layer.padding)
+        return found
 
 
 def exported(trunk: Network) -> nn.Module:

@@ -200,7 +200,7 @@ class PictureNetwork(nn.Module):
         with torch.autocast(stream.device.type, enabled=False):  # a step of bfloat16 in a code is 2 % of the light
             codes = self.dec_conv0(stream.float()).clamp(0.0, 1.0)
         history = further[:, HISTORY:]
-        judged = self.judge(torch.cat((stream, known, codes, codes - history), 1))
+        judged = F.relu(self.convolve(self.judge[0], stream, known, torch.cat((codes, codes - history), 1)))
         with torch.autocast(stream.device.type, enabled=False):
             judged = judged.float()
             return activate(codes, self.controls(judged), self.error(judged))
@@ -216,7 +216,12 @@ class PictureNetwork(nn.Module):
         x = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(beside(x, third)))))
         x = F.relu(self.dec_conv3b(F.relu(self.dec_conv3a(beside(x, second)))))
         x = F.relu(self.dec_conv2b(F.relu(self.dec_conv2a(beside(x, first)))))
-        return self.dec_conv1a(beside(x, guided))
+        return self.convolve(self.dec_conv1a, enlarge(x), guided)
+
+    @staticmethod
+    def convolve(layer: nn.Conv2d, *inputs: Tensor) -> Tensor:
+        """A convolution over several tensors beside each other."""
+        return layer(torch.cat(inputs, 1))
 
     def published(self) -> list[nn.Parameter]:
         """Weights that a published network has, too."""
@@ -247,7 +252,12 @@ class Branch(nn.Module):
 
 def beside(coarser: Tensor, skip: Tensor) -> Tensor:
     """The coarser level, enlarged, and what the finer one kept."""
-    return torch.cat((F.interpolate(coarser, scale_factor=2.0, mode="nearest"), skip), 1)
+    return torch.cat((enlarge(coarser), skip), 1)
+
+
+def enlarge(coarser: Tensor) -> Tensor:
+    """A level at the size of the next finer one."""
+    return F.interpolate(coarser, scale_factor=2.0, mode="nearest")
 
 
 def activate(codes: Tensor, controls: Tensor, error: Tensor) -> tuple[Tensor, Tensor, Tensor]:

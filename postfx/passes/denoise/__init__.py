@@ -343,15 +343,15 @@ class DenoiseUpscale(Pass):
             savings.begin_empty()
             self._fresh = False
             return ready.encode_empty(frame)
-        lit = ready.lit_cells(frame) if cells is None else None
-        band = None if cells is None and lit is None else ready.frames.layout(lit if cells is None else cells)
+        active = ready.lit_cells(frame) if cells is None else cells
+        band = None if active is None else ready.frames.layout(active)
         if band and cells is None:
             band = band.over(frame.spec.height)  # what is not lit is written, too
         gain = frame.exposure_factor / self._exposure if keep else 1.0
         self._widen(commands, frame, ready, keep)
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
         self._used = self._tags[self._ladder.rung if self._ladder else 0]
-        if ready.alpha_tag and gives_picture(ready.models[self._used]) and has_noisy_alpha(frame):
+        if ready.alpha_tag and ready.models[self._used] in ready.pictures and has_noisy_alpha(frame):
             self._used = ready.alpha_tag
             self._tell_of_alpha()
         model = ready.models[self._used]
@@ -366,7 +366,7 @@ class DenoiseUpscale(Pass):
         if ready.reflections:
             change = self._cameras.step(frame, keep and not still, savings.note_unfollowed)
             planes = ready.reflections.encode(commands, frame, change, planes)
-        filtered = ready.layers if self._used != CLASSIC and not gives_picture(model) else None
+        filtered = ready.layers if self._used != CLASSIC and model not in ready.pictures else None
         if ready.layers and not filtered:  # alpha is only resampled
             ready.layers.skip()
         layers, written = filtered.begin(commands, frame, planes, params, keep) if filtered else ([], {})

@@ -425,6 +425,7 @@ class ReadyNetwork(Ready):
         planes: the input of its kernels.
         models: the networks of this size by tag; each frame takes one.
         blanking: those that do without depth and albedo in volumes.
+        pictures: those that give the picture itself, and no filters.
         frames: runs the models.
         reactive: the mask where the history is not used.
         reflections: None if frames lack the planes for it.
@@ -446,6 +447,7 @@ class ReadyNetwork(Ready):
         sizes = Sizes(spec.height, spec.width, *output, grid_of(models.values()))
         self.models = models
         self.blanking = {model for model in models.values() if blanks_volumes(model)}
+        self.pictures = {model for model in models.values() if gives_picture(model)}
         self.planes = Planes(device, spec, output, guided, any(map(reads_mirrored, models.values())))
         self.reflections = Reflections(device, spec) if can_follow(spec) else None
         self.reactive = Reactive(device, spec, mask)
@@ -466,7 +468,7 @@ class ReadyNetwork(Ready):
     @cached_property
     def _only_weighs(self) -> bool:
         """Whether all that is made of a frame are weighed means of its pixels."""
-        return not (self._parts or self.error or any(map(gives_picture, self.models.values())))
+        return not (self._parts or self.error or self.pictures)
 
     def lit_cells(self, frame: ResidentFrame) -> np.ndarray | None:
         """The squares of 4 pixels whose result the picture's light decides; None if that is not looked for, or they are

@@ -198,8 +198,9 @@ def test_a_mixture_with_published_weights_fades_what_was_added(tmp_path, denoise
     for name, weights in (("trained", trained), ("published", published)):
         save({"config": SMALL.as_dict(), "weights": weights, "notes": {}}, tmp_path / f"{name}.pt")
     mixed = mix([(tmp_path / "trained.pt", 0.25), (tmp_path / "published.pt", 0.75)])["weights"]
-    for name, share in (("correct.weight", 0.25), ("join.bias", 0.25), ("enc_conv1.weight", 0.25), ("judge.0.weight", 1),
-                        ("branch.full.bias", 1)):
+    shares = {"correct.weight": 0.25, "join.bias": 0.25, "enc_conv1.weight": 0.25, "judge.0.weight": 1,
+              "branch.full.bias": 1}
+    for name, share in shares.items():
         torch.testing.assert_close(mixed[PREFIX + name], share * trained[PREFIX + name])
     newer = mix([(tmp_path / "trained.pt", 1.0)], newer=0.5)["weights"][PREFIX + "controls.bias"]
     changed = newer - trained[PREFIX + "controls.bias"]
