@@ -60,7 +60,7 @@ int main() {
 
 def make_program(names: Sequence[str], folder: Path) -> Path:
     """A program of these kernels, compiled once for all runs from the same sources."""
-    sources = [*build.our_units(), *build.HERE.rglob("*.h"), Path(__file__)]
+    sources = [*build.our_units(), *build.KERNELS.rglob("*.h"), Path(__file__)]
     copy_made_once("foreign", sources, f"{names} {version('ziglang')}", partial(_make, names), folder)
     return folder / "program"
 

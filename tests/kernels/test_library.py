@@ -245,10 +245,10 @@ def test_nan_is_carried_on_and_recognised_by_the_kernel_that_keeps_it_out(kernel
 
 def test_constants_of_the_headers_are_those_of_python() -> None:
     checked = 0
-    for header in sorted(build.HERE.rglob("*.h")):
+    for header in sorted(build.KERNELS.rglob("*.h")):
         text = header.read_text("utf-8")
         beside = header.with_suffix(".py")
-        known = constants_of(beside if beside.exists() else build.HERE / "image.py", text)
+        known = constants_of(beside if beside.exists() else build.KERNELS / "image.py", text)
         for name, value in re.findall(r"^constexpr (?:float|int) ([A-Z][A-Z\d_]+) = (-?[\d.e+-]+)f?;", text, re.M):
             if name in known:
                 assert np.float32(value) == np.float32(known[name]), f"{header}: {name}"
