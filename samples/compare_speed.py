@@ -3,10 +3,11 @@
     python samples/compare_speed.py [--width 960] [--height 540] [--runs 5] [--models m,s]
     python samples/compare_speed.py --device cuda --runs 50 --models s,m
 
-It needs pip install '.[bench]', on a GPU also PyTorch with CUDA. postfx turns noisy frames of the given
-size into twice as large, tone-mapped ones, or by --scale 1 into ones of the same size. OIDN (clean albedo and normal)
-denoises a frame of the same size and one of the output's size. Prints medians, spread and ratios. On the CPU times are those of whole calls. On a GPU they are the
-device's own, between its first and last command: all planes lie there for both, and nothing is copied.
+It needs pip install '.[bench]', on a GPU also PyTorch with CUDA. postfx turns noisy frames of the given size into
+twice as large, tone-mapped ones, or by --scale 1 into ones of the same size. OIDN (clean albedo and normal) denoises a
+frame of the same size, and one of the output's size. Prints medians, spread and ratios. On the CPU times are those of
+whole calls. On a GPU they are the device's own, between its first and last command: all planes lie there for both, and
+nothing is copied.
 """
 import argparse
 import resource
@@ -83,8 +84,10 @@ def main() -> None:
     parser.add_argument("--quality", default="high", help="of OIDN: high (default), balanced, fast; comma-separated")
     args = parser.parse_args()
     frame, device = noisy_frame(args.width, args.height), Device(args.device)
-    chains = {f"postfx {tag}": postfx.Pipeline([postfx.DenoiseUpscale(scale=args.scale, model=tag), postfx.ToneMap()], device)
-              for tag in args.models.split(",")}
+    chains = {}
+    for tag in args.models.split(","):
+        passes = [postfx.DenoiseUpscale(scale=args.scale, model=tag), postfx.ToneMap()]
+        chains[f"postfx {tag}"] = postfx.Pipeline(passes, device)
     for chain in 4 * list(chains.values()):
         timed(chain, frame)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
