@@ -28,6 +28,15 @@ def python(*words: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str]
     return subprocess.run([sys.executable, *words], env=environment, cwd=folder, capture_output=True, text=True)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def kernels(tmp_path_factory):
+    """The kernels of a frame, compiled before: as if on Windows, nothing can be compiled."""
+    made = tmp_path_factory.mktemp("kernels")
+    room = ROOT / "samples" / "room" / "noisy.####.exr"
+    run = ["-m", "postfx", "run", str(room), "-o", str(made / "a.####.png"), "--frames", "1-2", "--run-up", "0"]
+    subprocess.run([sys.executable, *run], cwd=ROOT, check=True, capture_output=True)
+
+
 def test_the_tests_of_files_and_of_the_command_line_pass():
     done = python("-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *AGAIN)
     assert done.returncode == 0, done.stdout[-3000:]

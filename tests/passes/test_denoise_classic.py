@@ -111,7 +111,8 @@ def test_it_needs_no_onnx_runtime(tmp_path: Path) -> None:
     """The command line runs without it, and says what is missing where a network is asked for."""
     code = ("import sys\nsys.modules['onnxruntime'] = None\nfrom postfx.cli.main import main\n"
             "sys.exit(main(sys.argv[1:]))")
-    command = [sys.executable, "-c", code, "run", str(ROOM / "noisy.0001.exr"), "--frames", "1", "--no-tonemap"]
+    command = [sys.executable, "-c", code, "run", str(ROOM / "noisy.0001.exr"), "--frames", "1", "--no-tonemap",
+               "--run-up", "0"]
     made = subprocess.run([*command, "--model", CLASSIC, "-o", str(tmp_path / "a.####.exr")], capture_output=True,
                           text=True)
     assert made.returncode == 0, made.stderr

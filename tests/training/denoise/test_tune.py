@@ -91,7 +91,9 @@ def test_references_of_tiles_count_where_they_have_samples(tmp_path: Path):
     result = torch.where(drawn > 0, 0.2, 0.9).expand(-1, 3, -1, -1)  # right where it counts
     targets = torch.full_like(result, 0.2)
     for is_noisy in (False, True):
-        assert tune.error(result, targets, drawn, is_noisy) < 0.2 < tune.error(result + 0.5, targets, drawn, is_noisy)
+        right = tune.error(targets, targets, drawn, is_noisy)
+        torch.testing.assert_close(tune.error(result, targets, drawn, is_noisy), right)
+        assert tune.error(result + 0.5, targets, drawn, is_noisy) > right + 0.2
 
 
 def test_the_command_says_what_is_wrong(tmp_path: Path, monkeypatch, capsys):
