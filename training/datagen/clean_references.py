@@ -96,7 +96,7 @@ def clean_file(network: DenoiseUpscale | PictureDenoiser, path: Path, folder: Pa
     return True
 
 
-def main(argv: list[str] | None = None) -> int:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("raw", type=Path, help="folder of clip.NNNNN.npz as rendered")
     parser.add_argument("clean", type=Path, help="folder that gets the cleaned clips")
@@ -104,7 +104,11 @@ def main(argv: list[str] | None = None) -> int:
                         "a checkpoint of a picture network (training.denoise.open_weights)")
     parser.add_argument("--watch", type=float, default=0.0, metavar="MINUTES", help="wait for new clips so long")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
-    args = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = options().parse_args(argv)
     device = torch.device(args.device)
     network = load_network(args.network, device)
     args.clean.mkdir(parents=True, exist_ok=True)

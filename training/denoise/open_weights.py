@@ -100,9 +100,14 @@ def published(name: str = NETWORK) -> dict[str, Tensor]:
     return {key: torch.from_numpy(values.astype(np.float32)) for key, values in found}
 
 
-def main(argv: list[str] | None = None) -> None:
+def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
+    return parser
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = options()
     args = parser.parse_args(argv)
     try:
         weights = {PREFIX + name: values.half() for name, values in published().items()}
