@@ -86,7 +86,7 @@ class Job:
 
 PRESETS = [("NONE", "Standard", "Every frame uses the frames before it"),
            ("preview", "Preview", "The fastest: the small network, alone"),
-           ("final", "Final", "The cleanest: both directions, two to three times the time"),
+           ("final", "Final", "The cleanest: the largest network in both directions, many times the time"),
            ("animation", "Animation", "As Final, and steady in brightness")]
 
 LOOKS = [("NONE", "None (EXR)", "Scene-linear EXR for the compositor"),

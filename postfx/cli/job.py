@@ -200,25 +200,22 @@ class Job:
             return AROUND if is_panorama(files.layout.attributes) else NONE
 
     def _make_capture(self, device: Device) -> FrameCapture:
-        from postfx.report.page import (
-            FrameCapture,  # loads pages, which other runs need not wait for
-        )
+        # It loads pages, which other runs need not wait for.
+        from postfx.report.page import FrameCapture
 
         return FrameCapture(device, check=not self._arguments.explain, **self._values("capture"))
 
     def _find_viewer(self) -> LiveViewer | None:
         if self._arguments.live is None or self._arguments.explain:
             return None
-        from postfx.report.live import (
-            LiveViewer,  # loads sockets, which other runs need not wait for
-        )
+        # It loads sockets, which other runs need not wait for.
+        from postfx.report.live import LiveViewer
 
         return LiveViewer(self._arguments.live)
 
     def _make_page(self) -> RunReport:
-        from postfx.cli.report import (
-            RunReport,  # loads the doctor and charts, which other runs need not wait for
-        )
+        # It loads the doctor and charts, which other runs need not wait for.
+        from postfx.cli.report import RunReport
 
         return RunReport(self.sequence, self.pipeline, self.plan, self._inspect, check=not self._arguments.explain,
                          **self._values("page"))
@@ -447,9 +444,8 @@ class Job:
 
     @cached_property
     def _looker(self) -> FirstFrames:
-        from postfx.doctor.first_frames import (
-            FirstFrames,  # loads the doctor, which other verbs need not wait for
-        )
+        # It loads the doctor, which other verbs need not wait for.
+        from postfx.doctor.first_frames import FirstFrames
 
         return FirstFrames(self._channels, self._enable, not self.pipeline.device.memory.host_visible)
 

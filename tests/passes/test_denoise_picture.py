@@ -73,12 +73,13 @@ def test_parts_take_the_network_with_filters_and_the_plan_says_so() -> None:
     frames = shot(parts=True)
     notes = step.remarks(frames[0].spec)
     assert any("'l' filters the picture alone: 'm' runs" in note for note in notes)
-    for found, wanted in zip(denoised("l", frames, parts=parts), denoised("m", frames, parts=parts), strict=True):
+    ours, expected = (denoised(model, frames, parts=parts) for model in ("l", "m"))
+    for found, wanted in zip(ours, expected, strict=True):
         np.testing.assert_array_equal(found[Role.COLOUR], wanted[Role.COLOUR])
 
 
 @pytest.mark.parametrize("strength", [0.5, 1.0])
 def test_a_first_frame_differs_from_the_stand_in(strength: float) -> None:
     """The network at the render's size is one of its own."""
-    (ours, _), (other, _) = denoised("l", shot(), strength=strength), denoised("m", shot(), strength=strength)
+    (ours, _), (other, _) = (denoised(model, shot(), strength=strength) for model in ("l", "m"))
     assert np.abs(ours[Role.COLOUR] - other[Role.COLOUR]).max() > 1e-3

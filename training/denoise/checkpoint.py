@@ -170,10 +170,11 @@ def unpack(path: Path) -> dict[str, Any]:
 # Mixtures -----------------------------------------------------------------------------------------------------------
 
 BLEND_BIAS = PREFIX + "controls.bias"
-"""Of a picture network: its first value decides on the new picture's share beside the history, as a logit."""
+"""Of a picture network: its first value is the logit of the new picture's share beside the history."""
 
 
-def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None, newer: float = 0.0) -> dict[str, Any]:
+def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None,
+        newer: float = 0.0) -> dict[str, Any]:
     """A checkpoint with the weighted mean of several weights; its notes are the first one's, and name the mixture.
 
     The first part is a checkpoint; others may be exported networks, also with fewer channels or levels. Of the mean,
@@ -205,10 +206,11 @@ def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None, newer: f
         weights, config = keep_levels(weights, levels), {**config, "widths": config["widths"][:levels]}
     if newer:
         if BLEND_BIAS not in weights:
-            raise ValueError(f"{parts[0][0]}: no picture network, whose history alone can be weighed anew")
+            raise ValueError(f"{parts[0][0]}: no picture network: --newer is for those alone")
         weights[BLEND_BIAS][0] += newer
         told += f", new pictures {newer:+g} logits"
-    return {"config": config, "weights": weights, "notes": {**first["notes"], **begun, "weights": told}}
+    notes = {**first["notes"], **begun, "weights": told}
+    return {"config": config, "weights": weights, "notes": notes}
 
 
 def options() -> argparse.ArgumentParser:

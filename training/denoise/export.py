@@ -233,8 +233,12 @@ class ExportedResidual(ResidualTrunk):
 
 
 class ExportedPicture(PictureNetwork):
-    """The same network, except that it reads the features in parts, and adds convolutions over odd numbers of channels:
-    ONNX Runtime keeps its layout of blocks of channels only where their number is even."""
+    """The same network, except that it reads the features in parts, and adds up convolutions over
+    several tensors instead of joining those.
+
+    ONNX Runtime lays channels out in blocks, and leaves that layout where tensors are joined to an
+    odd number of channels.
+    """
 
     def __init__(self, trunk: PictureNetwork):
         super().__init__(trunk.config)

@@ -200,7 +200,8 @@ class PictureNetwork(nn.Module):
         with torch.autocast(stream.device.type, enabled=False):  # a step of bfloat16 in a code is 2 % of the light
             codes = self.dec_conv0(stream.float()).clamp(0.0, 1.0)
         history = further[:, HISTORY:]
-        judged = F.relu(self.convolve(self.judge[0], stream, known, torch.cat((codes, codes - history), 1)))
+        compared = torch.cat((codes, codes - history), 1)
+        judged = F.relu(self.convolve(self.judge[0], stream, known, compared))
         with torch.autocast(stream.device.type, enabled=False):
             judged = judged.float()
             return activate(codes, self.controls(judged), self.error(judged))
@@ -229,7 +230,10 @@ class PictureNetwork(nn.Module):
 
 
 class Branch(nn.Module):
-    """All inputs (N, C, h, w) -> what the branch knows of each pixel, (N, 32, h, w), from 20 pixels around it."""
+    """All inputs (N, C, h, w) -> what the branch knows of each pixel, (N, 32, h, w).
+
+    It sees about 20 pixels around each.
+    """
 
     def __init__(self, inputs: int):
         super().__init__()

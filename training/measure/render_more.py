@@ -58,7 +58,7 @@ QUALITY = "flip=0.005"
 """Below what any tile reaches, so that the budget decides."""
 WORST = 90
 """Percentile of the tiles' FLIP."""
-MOST_NOISE = 3
+MOST_NOISE_RATIO = 3
 """Times the reference's noise that a tile's error to it must be, to count for predictions."""
 DONE = 1e-6
 """Squared error, 60 dB, below which a tile needs no prediction."""
@@ -168,7 +168,7 @@ class Judge:
         whole = read(scene.uniform(index))
         colour = self.denoise(whole)
         error, noise = self.tiles(self.error(colour)), self.tiles(self._noise)
-        is_clear = (error > noise * (MOST_NOISE - 1)) & (error > DONE)
+        is_clear = (error > noise * (MOST_NOISE_RATIO - 1)) & (error > DONE)
         colours = halves[0][Role.COLOUR], halves[1][Role.COLOUR]
         clean = self.denoise(halves[0]), self.denoise(halves[1])
         both = estimate_from_halves(colours, (*clean, colour), self.exposure, self._tile)

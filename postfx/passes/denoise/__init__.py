@@ -232,11 +232,9 @@ class DenoiseUpscale(Pass):
         if not self.strength:
             return ReadyPlain(self._device, spec, size, self._parts)
         models, guided = self._models(spec), self._is_guided(spec)
-        with_alpha = self._alpha_models(spec, models)
-        found = ReadyNetwork(self._device, spec, size, models | with_alpha, self._history, guided, self.strength,
-                             self._mask, self._parts, self._alpha, self._part_history, self._error)
-        found.alpha_tag = next(iter(with_alpha), None)
-        return found
+        models |= self._alpha_models(spec, models)
+        return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask,
+                            self._parts, self._alpha, self._part_history, self._error)
 
     def _tags_for(self, spec: FrameSpec, runs_rows: bool = True) -> tuple[str, ...]:
         """Tags to choose from for frames of a spec, fastest first; one without a budget."""
@@ -254,12 +252,16 @@ class DenoiseUpscale(Pass):
         return {short_tag(tag): model_of(tag, ending, self._device, bool(self._parts)) for tag in tags}
 
     def _alpha_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
-        """The network that noisy alpha takes instead, by its tag, where one of the ``models`` has no filters for it. A
-        frame whose error is asked for keeps its network and its alpha."""
-        if self._error or not (self._alpha and spec.has(Role.ALPHA)) or not any(map(gives_picture, models.values())):
+        """The network that noisy alpha takes instead, by its tag, where one of the ``models`` has
+        no filters for it.
+
+        A frame whose error is asked for keeps its network and its alpha.
+        """
+        filters_alpha = self._alpha and spec.has(Role.ALPHA) and not self._error
+        if not filters_alpha or not any(map(gives_picture, models.values())):
             return {}
         model = model_of(self._tag, self._ending(spec), self._device, filters=True)
-        return {next((tag for tag, other in models.items() if other == model), short_tag(model)): model}
+        return {} if model in models.values() else {short_tag(model): model}
 
     def note_time(self, milliseconds: float) -> None:
         if self.strength:
@@ -351,10 +353,11 @@ class DenoiseUpscale(Pass):
         self._widen(commands, frame, ready, keep)
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
         self._used = self._tags[self._ladder.rung if self._ladder else 0]
-        if ready.alpha_tag and ready.models[self._used] in ready.pictures and has_noisy_alpha(frame):
-            self._used = ready.alpha_tag
-            self._tell_of_alpha()
         model = ready.models[self._used]
+        if ready.alpha_tag and model in ready.pictures and has_noisy_alpha(frame):
+            self._used = ready.alpha_tag
+            model = ready.models[self._used]
+            self._tell_of_alpha()
         ready.frames.use(model)
         still = keep and gain == 1 and self._is_still(frame)
         savings.begin(1.0 if band is None else band.share, keep or repeats, still, cells is None)
@@ -391,8 +394,9 @@ class DenoiseUpscale(Pass):
     def _tell_of_alpha(self) -> None:
         """Say once that noisy alpha takes another network."""
         if not self._has_told_of_alpha:
-            self._notice = (f"its alpha is noisy, so model '{self._used}' runs: '{short_tag(self._tag)}' filters the "
-                            "picture alone; fix: --no-alpha-denoise keeps alpha as it is")
+            asked = short_tag(self._tag)
+            self._notice = (f"its alpha is noisy, so model '{self._used}' runs: '{asked}' filters "
+                            "the picture alone; fix: --no-alpha-denoise keeps alpha as it is")
             self._has_told_of_alpha = True
 
     def _widen(self, commands: CommandBuffer, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> None:

@@ -435,10 +435,8 @@ class ReadyNetwork(Ready):
         own: runs the models on parts that have filters of their own, by name.
         wider: for light that the frame's primaries do not hold.
         error: the plane of expected errors; None if it is not asked for.
-        alpha_tag: the network of frames whose alpha is noisy, where the others have no filters for it.
+        alpha_tag: the largest network that filters noisy alpha, where others give the picture alone.
     """
-
-    alpha_tag: str | None = None
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, models: Mapping[str, str], history: History,
                  guided: bool, strength: float, mask: ReactiveOption, parts: Sequence[Part], alpha: bool,
@@ -448,10 +446,12 @@ class ReadyNetwork(Ready):
         self.models = models
         self.blanking = {model for model in models.values() if blanks_volumes(model)}
         self.pictures = {model for model in models.values() if gives_picture(model)}
+        filtering = [tag for tag, model in models.items() if model not in self.pictures]
         self.planes = Planes(device, spec, output, guided, any(map(reads_mirrored, models.values())))
         self.reflections = Reflections(device, spec) if can_follow(spec) else None
         self.reactive = Reactive(device, spec, mask)
         alpha = alpha and spec.has(Role.ALPHA)
+        self.alpha_tag = filtering[-1] if alpha and self.pictures and filtering else None
         self.frames = Frames(device, sizes, list(models.values()), history, guided, mask.role(spec) is not None,
                              alpha or bool(parts))
         self.restore = Restore(device, output) if output == (spec.height, spec.width) else None

@@ -109,7 +109,8 @@ def filter_remarks(tag: str) -> list[str]:
     if not gives_picture(model_of(tag, UNSCALED)):
         return []
     other = short_tag(model_of(tag, UNSCALED, filters=True)).removesuffix(UNSCALED)
-    return [f"model '{short_tag(tag)}' filters the picture alone: '{other}' runs, which filters its parts, too"]
+    return [f"model '{short_tag(tag)}' filters the picture alone: '{other}' runs, which filters "
+            "its parts, too"]
 
 
 def _stand_in(tag: str) -> str:
