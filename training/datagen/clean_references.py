@@ -1,13 +1,16 @@
 """Clean the references of rendered clips, so that few samples are enough for them.
 
-    python -m training.datagen.clean_references RAW CLEAN --network models/denoise_upscale.m.1x.onnx
-    python -m training.datagen.clean_references RAW CLEAN --network m.onnx --watch 15 --device cuda:1
+    python -m training.datagen.clean_references RAW CLEAN
+    python -m training.datagen.clean_references RAW CLEAN --watch 15 --device cuda
 
 A training compares pictures after the display curve, which turns the noise of a reference into a
 darker picture: 64 samples a pixel of a night street lose 0.010 in code values, 32 of a room lit
-through its door more than 0.03. A network of the project, given the reference as a noisy picture
-with the planes of its first half, takes that noise away. Both the reference and its second half are
-cleaned, each by itself, so that a render is still compared with samples of which it has none.
+through its door more than 0.03. Open Image Denoise (the package pyoidn) takes that noise away,
+with the planes of the reference's first half, each filtered alone first.
+
+A cleaned half is no target for a render with as many samples: the network would learn to be as
+blurred as the target. So the other half of the reference leaves the clip. The render from the first
+half stays for its planes, which are almost without noise, and is not trained on.
 
 Clips without halves have references of many samples, and are moved as they are, like clips whose
 references are larger than their renders. RAW may still be growing: with --watch the program goes on
@@ -18,77 +21,59 @@ them again: give it another --seed.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shutil
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from postfx.oidn import OpenImageDenoise
 from training.datagen.clip_file import to_half
-from training.denoise.checkpoint import load_weights, widen
-from training.denoise.dataset import Clip, Stack, collate, load, to_batch
-from training.denoise.model import DenoiseUpscale, TrunkConfig, empty_state
-from training.denoise.picture import PictureDenoiser
 
 PAUSE = 0.5  # seconds between two looks for new clips
+THREADS = 8  # of the CPU
+
+Arrays = dict[str, np.ndarray]
 
 
-def load_network(path: Path, device: torch.device) -> DenoiseUpscale | PictureDenoiser:
-    """The network of an exported model in float32, with its card beside it, or of a checkpoint of a picture network."""
-    if path.suffix == ".pt":
-        found = PictureDenoiser()
-        found.load_state_dict(widen(load_weights(path), found.state_dict()))
-        return found.to(device).eval()
-    config = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))["config"]
-    network = DenoiseUpscale(TrunkConfig.from_dict(config))
-    network.load_state_dict(load_weights(path, trust=bool(config.get("trust"))))
-    return network.to(device).eval()
+def render_of_half(arrays: Arrays) -> str | None:
+    """Name of the render that is half of a clip's reference, as 'v2'; None if there is none of the reference's size."""
+    named = (name.removesuffix("_half") for name in arrays if name.startswith("v") and name.endswith("_half"))
+    fitting = (name for name in named if arrays[f"{name}_half"]
+               and arrays[f"{name}_colour"].shape == arrays["reference"].shape)
+    return next(fitting, None) if "half" in arrays else None
 
 
-def is_cleaned(clip: Clip) -> bool:
-    """Whether a clip's reference is worth cleaning, and has the size of its renders."""
-    return clip.half is not None and any(clip.halved) and clip.reference.shape[-2:] == clip.planes.shape[-2:]
+def aids(arrays: Arrays, variant: str, frame: int) -> Arrays:
+    """Albedo and normal (h, w, 3) of a frame, as Blender gives them to its denoiser where the clip has those."""
+    def plane(name: str) -> np.ndarray:
+        return arrays[f"{variant}_{name}"][frame].astype(np.float32)
+
+    if f"{variant}_denoising_albedo" in arrays and plane("denoising_albedo").any():
+        return {"albedo": plane("denoising_albedo"), "normal": plane("denoising_normal")}
+    return {"albedo": np.clip(plane("diffuse_albedo") + plane("specular_albedo"), 0, 1), "normal": plane("normal")}
 
 
-@torch.no_grad()
-def clean(network: DenoiseUpscale | PictureDenoiser, clip: Clip, picture: Tensor) -> Tensor:
-    """A ``picture`` (T, 3, h, w) of the clip without its noise, by the planes of the first half of the reference."""
-    stack = collate([clip], [clip.halved.index(True)])
-    batch = to_batch(with_colour(stack, picture))
-    state = empty_state(batch.frames[0], *picture.shape[-2:])
-    alone = isinstance(network, PictureDenoiser)  # that may begin with weights that know no history
-    outputs = []
-    for inputs, keep in zip(batch.frames, batch.keep, strict=True):
-        step = network.step(inputs, state.drop(keep))
-        state = state if alone else step.state
-        outputs.append(step.output[0] / clip.exposure)
-    return torch.stack(outputs)
+def clean(denoise: OpenImageDenoise, arrays: Arrays, variant: str) -> np.ndarray:
+    """The reference (T, h, w, 3) without its noise, by the planes of a render of the clip."""
+    result = np.empty(arrays["reference"].shape, np.float32)
+    for frame, picture in enumerate(arrays["reference"]):
+        denoise(picture.astype(np.float32), aids(arrays, variant, frame), result[frame])
+    return result
 
 
-def with_colour(stack: Stack, colour: Tensor) -> Stack:
-    """The renders of one clip, with another colour (T, 3, h, w)."""
-    planes = stack.planes.clone()
-    planes[0, :, :3] = colour.float()
-    return replace(stack, planes=planes)
-
-
-def clean_file(network: DenoiseUpscale | PictureDenoiser, path: Path, folder: Path, device: torch.device) -> bool:
-    """Move a clip to a folder, its references cleaned if it needs that; returns whether it did."""
-    clip = load(path, device, blank_volumes=True)
-    target = folder / path.name
-    if not is_cleaned(clip):
-        shutil.move(path, target)
-        return False
+def clean_file(denoise: OpenImageDenoise, path: Path, folder: Path) -> bool:
+    """Move a clip to a folder, its reference cleaned if it needs that; returns whether it did."""
     with np.load(path) as file:
         arrays = dict(file)
-    for name, picture in (("reference", clip.reference), ("half", clip.half)):
-        arrays[name] = to_half(clean(network, clip, picture).movedim(1, -1).cpu().numpy())
+    target, variant = folder / path.name, render_of_half(arrays)
+    if variant is None:
+        shutil.move(path, target)
+        return False
+    arrays["reference"] = to_half(clean(denoise, arrays, variant))
+    del arrays["half"]
     partial = folder / f".{path.name}.{os.getpid()}.partial.npz"
     np.savez(partial, **arrays)
     partial.replace(target)
@@ -100,23 +85,21 @@ def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("raw", type=Path, help="folder of clip.NNNNN.npz as rendered")
     parser.add_argument("clean", type=Path, help="folder that gets the cleaned clips")
-    parser.add_argument("--network", type=Path, required=True, help="denoise_upscale.<tag>.onnx in float32, or "
-                        "a checkpoint of a picture network (training.denoise.open_weights)")
     parser.add_argument("--watch", type=float, default=0.0, metavar="MINUTES", help="wait for new clips so long")
-    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--threads", type=int, default=THREADS, help="of the CPU (default: %(default)s)")
     return parser
 
 
 def main(argv: list[str] | None = None) -> int:
     args = options().parse_args(argv)
-    device = torch.device(args.device)
-    network = load_network(args.network, device)
+    denoise = OpenImageDenoise("high", args.device, args.threads)
     args.clean.mkdir(parents=True, exist_ok=True)
     end, moved, cleaned = time.monotonic() + 60 * args.watch, 0, 0
     while True:
         found = sorted(args.raw.glob("clip.*.npz"))
         for path in found:
-            cleaned += clean_file(network, path, args.clean, device)
+            cleaned += clean_file(denoise, path, args.clean)
             moved += 1
         if found:
             print(f"{moved} clips, {cleaned} of them cleaned", flush=True)

@@ -105,7 +105,7 @@ def cycles_maker(args: argparse.Namespace) -> Callable[[int], tuple]:
 
     fixed = {} if args.scale is None else {"scales": (args.scale,), "scale_chances": (1.0,)}
     options = CyclesOptions(args.width, args.height, args.frames, args.even_spp or CyclesOptions.most_spp,
-                            args.half_samples, kind=args.kind, **fixed)
+                            args.half_samples, args.variants, kind=args.kind, **fixed)
     blender = Blender(args.blender, args.real)
     return lambda index: make_clip(blender, options, args.seed, index)
 

@@ -213,6 +213,17 @@ def mix(parts: Sequence[tuple[Path, float]], levels: int | None = None,
     return {"config": config, "weights": weights, "notes": notes}
 
 
+def graft(base: Path, donor: Path, layers: Sequence[str]) -> dict[str, Any]:
+    """The checkpoint `base`, which lacks some ``layers`` of its network (first words of their names, as 'branch'), with
+    those of another network. Raises ValueError if the other one lacks them, too."""
+    found, given = read(base), read(donor)["weights"]
+    added = {name: values for name, values in given.items() if name.removeprefix(PREFIX).partition(".")[0] in layers}
+    if missing := set(layers) - {name.removeprefix(PREFIX).partition(".")[0] for name in added}:
+        raise ValueError(f"{donor}: no layer {', '.join(sorted(missing))}")
+    notes = {**found["notes"], "grafted": f"{', '.join(layers)} of {donor}"}
+    return {"config": found["config"], "weights": added | found["weights"], "notes": notes}
+
+
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
@@ -227,6 +238,13 @@ def options() -> argparse.ArgumentParser:
     mixing.add_argument("--newer", type=float, default=0.0, metavar="LOGITS",
                         help="of a picture network: raise the new picture's share beside the history")
     mixing.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
+    grafting = commands.add_parser("graft", help="give a network the layers of another one that it lacks")
+    grafting.add_argument("base", type=Path, help="checkpoint, as of training.denoise.open_weights --large")
+    grafting.add_argument("donor", type=Path, help="checkpoint of a network that has the layers")
+    grafting.add_argument("--layers", nargs="+", default=["branch"], metavar="LAYER",
+                          help="first words of their names (default: branch)")
+    grafting.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
+    grafting.set_defaults(make=lambda args: graft(args.base, args.donor, args.layers))
     mixing.set_defaults(make=lambda args: mix(args.parts, args.levels, args.newer))
     return parser
 

@@ -69,8 +69,8 @@ class Batch:
 
     ``keep`` (T, N, 1, 1, 1) is 0 where the history ends. Lists of T motions (N, 2, h, w): ``inverse`` leads to the next
     frame, for clips that also run backwards; ``static`` is the motion if only the camera moved; ``true_motion`` is set
-    if the motion of the frames may be false. ``reflectance`` (T, N, 3, h, w) is the true one, NaN in entries where it
-    is unknown. ``state`` is the history that the first frame continues; None: there is none.
+    if the motion of the frames may be false. ``surfaces`` are T inputs with the true albedos and normals, NaN in
+    entries where they are unknown. ``state`` is the history that the first frame continues; None: there is none.
     """
 
     frames: list[Inputs]
@@ -79,21 +79,29 @@ class Batch:
     inverse: list[Tensor] | None = None
     static: list[Tensor] | None = None
     true_motion: list[Tensor] | None = None
-    reflectance: Tensor | None = None
+    surfaces: list[Inputs] | None = None
     state: State | None = None
+
+    def reflectance(self) -> list[Tensor]:
+        """The true reflectance of each frame (N, 3, h, w), NaN in entries where it is unknown."""
+        found = []
+        for frame in self.surfaces:
+            factor = ops.demodulation(frame.diffuse_albedo, frame.specular_albedo)
+            found.append(torch.where(frame.diffuse_albedo[:, :1].isnan(), torch.nan, factor))
+        return found
 
 
 @dataclass
 class Stack:
-    """Stacked windows of several clips: the fields of ``Clip`` with N in front, exposure (N, 1, 1, 1), and true albedos
-    (N, T, 6, h, w), NaN where they are unknown."""
+    """Stacked windows of several clips: the fields of ``Clip`` with N in front, exposure (N, 1, 1, 1), and planes with
+    the true albedos, normals and roughness (N, T, C, h, w), NaN where they are unknown."""
 
     planes: Tensor
     jitter: Tensor
     spread: Tensor
     keep: Tensor
     reference: Tensor
-    albedos: Tensor
+    surfaces: Tensor
     guides: Tensor | None
     exposure: Tensor
     pairs: tuple[str, ...] = ()
@@ -275,7 +283,7 @@ class ClipPool:
         weights = [[clip.weight for clip in clips] for clips in there]
         drawn = random.Random(seed).choices(range(len(shapes)), [sum(w) for w in weights])[0]
         clips = random.choices(there[drawn], weights[drawn], k=size)
-        order = [random.sample(range(len(c.planes)), len(c.planes)) for c in clips]
+        order = [random.sample(compared(c), len(compared(c))) for c in clips]
         variants = [renders[turn % len(renders)] for renders in order]
         thinned = [random.random() < sparse for _ in clips]
         surfaces = [sparser(c, v, turn) if thin else v for c, v, thin in zip(clips, variants, thinned, strict=True)]
@@ -283,6 +291,11 @@ class ClipPool:
         others = [companion(c, v) if mixed else None for c, v, mixed in zip(clips, variants, blended, strict=True)]
         stack = collate(clips, variants, crop, surfaces, others)
         return stack if turn == 0 else play_on(stack, backwards=turn % 2 == 1)
+
+
+def compared(clip: Clip) -> list[int]:
+    """Renders that have a reference of other samples."""
+    return [v for v in range(len(clip.planes)) if clip.half is not None or not clip.halved[v]]
 
 
 def play_on(stack: Stack, backwards: bool) -> Stack:
@@ -295,7 +308,7 @@ def play_on(stack: Stack, backwards: bool) -> Stack:
             planes[:, :, first:first + 2] = stack.planes[:, :, inverse:inverse + 2]  # 0 in the last frame
         kept = torch.cat((torch.ones_like(kept[:, :1]), kept[:, 1:].flip(1)), 1)
         return replace(stack, planes=planes.flip(1), keep=kept, jitter=stack.jitter.flip(1),
-                       reference=stack.reference.flip(1), albedos=stack.albedos.flip(1),
+                       reference=stack.reference.flip(1), surfaces=stack.surfaces.flip(1),
                        guides=None if stack.guides is None else stack.guides.flip(1))
     kept[:, 0], planes[:, 0, MOTION:] = 1, 0
     return replace(stack, planes=planes, keep=kept)
@@ -337,11 +350,12 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
             for part in (slice(0, 3), *SURFACE):
                 second = clip.planes[other, :, part, window[0], window[1]].float()
                 planes[entry, :, part] = torch.lerp(planes[entry, :, part], second, share)
-    albedos = torch.full_like(planes[:, :, ALBEDOS], torch.nan)
+    true = torch.full_like(planes[:, :, :CHANNELS], torch.nan)
     for entry, (other, (clip, variant, window)) in enumerate(zip(surfaces or variants, chosen, strict=True)):
         known = None if clip.hazy[other] else true_planes(clip, other)
         if known is not None:
-            albedos[entry] = clip.planes[known, :, ALBEDOS, window[0], window[1]]
+            for part in SURFACE:
+                true[entry, :, part] = clip.planes[known, :, part, window[0], window[1]].float()
         if other != variant:
             for part in SURFACE:
                 planes[entry, :, part] = clip.planes[other, :, part, window[0], window[1]].float()
@@ -351,7 +365,7 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
         torch.tensor([c.spread[v] for c, v, _ in chosen], device=device),
         torch.stack([c.keep for c in clips]),
         torch.stack([target(c, v)[..., w[2], w[3]] for c, v, w in chosen]).float(),
-        albedos,
+        true,
         torch.stack([c.guides[..., w[2], w[3]] for c, _, w in chosen]).float() if guided else None,
         torch.tensor([c.exposure for c in clips], device=device, dtype=torch.float32)[:, None, None, None],
         clips[0].pairs,
@@ -364,8 +378,8 @@ def target(clip: Clip, variant: int) -> Tensor:
 
 
 def true_planes(clip: Clip, variant: int) -> int | None:
-    """The render with the true albedos of a noisy one: an exact one, itself if all its samples lie at one place, else a
-    render with many samples; None if there is none."""
+    """The render with the true albedos and normals of a noisy one: an exact one, itself if all its samples lie at one
+    place, else a render with many samples; None if there is none."""
     if any(clip.exact):
         return clip.exact.index(True)
     if not clip.spread[variant]:
@@ -393,10 +407,9 @@ def to_batch(stack: Stack) -> Batch:
               for p, j, g in zip(planes.unbind(1), stack.jitter.unbind(1), guides, strict=True)]
     references = (stack.reference * stack.exposure[:, None]).clamp(0, 1e4).transpose(0, 1)
     pairs = {name: list(motion.unbind(1)) for name, motion in zip(stack.pairs, motions, strict=True)}
-    albedos = stack.albedos.transpose(0, 1)
-    factors = torch.stack([ops.demodulation(*frame.split(3, 1)) for frame in albedos])
-    factors = torch.where(albedos[:, :, :1].isnan(), torch.nan, factors)
-    return Batch(frames, references, stack.keep.T[..., None, None, None], reflectance=factors, **pairs)
+    surfaces = [Inputs(**_split(true, PLANES), jitter=jitter)
+                for true, jitter in zip(stack.surfaces.unbind(1), stack.jitter.unbind(1), strict=True)]
+    return Batch(frames, references, stack.keep.T[..., None, None, None], surfaces=surfaces, **pairs)
 
 
 def _inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None, exposure: Tensor) -> Inputs:
@@ -417,7 +430,6 @@ def _split(stacked: Tensor, planes: tuple[tuple[str, int], ...]) -> dict[str, Te
 
 # First channels of these planes in a stack; further kinds of motion follow motion.
 NORMAL, MIRRORED_ALBEDO, MIRRORED_NORMAL, MOTION = 9, 14, 17, 20
-ALBEDOS = slice(3, 9)
 # Albedos, normals and roughness: means over a pixel's samples, where those are spread.
 SURFACE = slice(3, 13), slice(14, 20)
 # Values for a plane that a file lacks; postfx/passes/denoise/planes.py fills in the same ones.
@@ -476,8 +488,10 @@ class Augment:
             lost |= {name: lost[name] | chosen for name in names}
         inverse = batch.inverse and [torch.where(lost["motion"], ABSENT["motion"], motion) for motion in batch.inverse]
         unknown = lost["diffuse_albedo"] | lost["specular_albedo"]
-        return replace(batch, frames=[_without(frame, lost) for frame in batch.frames],
-                       reflectance=torch.where(unknown, torch.nan, batch.reflectance),
+        surfaces = [_without(frame, lost) for frame in batch.surfaces]
+        surfaces = [replace(frame, diffuse_albedo=torch.where(unknown, torch.nan, frame.diffuse_albedo))
+                    for frame in surfaces]
+        return replace(batch, frames=[_without(frame, lost) for frame in batch.frames], surfaces=surfaces,
                        keep=batch.keep * ~lost["motion"], inverse=inverse)
 
 
@@ -523,22 +537,22 @@ def _without(planes: Inputs | Guides, lost: dict[str, Tensor]) -> Inputs | Guide
 def _flip(stack: Stack) -> Stack:
     """Mirror and transpose the picture; motion and jitter follow."""
     planes, jitter, reference, guides = stack.planes, stack.jitter.clone(), stack.reference, stack.guides
-    albedos = stack.albedos
+    surfaces = stack.surfaces
     signs = torch.ones(planes.shape[2], device=planes.device)
     for axis in (0, 1):
         if random.random() < 0.5:
-            planes, reference, albedos = (x.flip(-1 - axis) for x in (planes, reference, albedos))
+            planes, reference, surfaces = (x.flip(-1 - axis) for x in (planes, reference, surfaces))
             guides = None if guides is None else guides.flip(-1 - axis)
             signs[MOTION + axis::2] = -1
             jitter[..., axis] *= -1
     planes = planes * signs[:, None, None]
     if random.random() < 0.5:
-        planes, reference, albedos = (x.transpose(-1, -2) for x in (planes, reference, albedos))
+        planes, reference, surfaces = (x.transpose(-1, -2) for x in (planes, reference, surfaces))
         guides = None if guides is None else guides.transpose(-1, -2)
         motions = planes[:, :, MOTION:].unflatten(2, (-1, 2)).flip(3).flatten(2, 3)
         planes = torch.cat((planes[:, :, :MOTION], motions), 2)
         jitter = jitter.flip(-1)
-    return replace(stack, planes=planes, jitter=jitter, reference=reference, albedos=albedos, guides=guides)
+    return replace(stack, planes=planes, jitter=jitter, reference=reference, surfaces=surfaces, guides=guides)
 
 
 def _permute_channels(stack: Stack) -> Stack:
@@ -556,5 +570,5 @@ def _permute_channels(stack: Stack) -> Stack:
     if guides is not None:
         last = MIRRORED_ALBEDO
         guides = guides[:, :, [c - 3 for c in order[3:last]]] * signs[3:last, None, None]
-    return replace(stack, planes=planes, reference=stack.reference[:, :, rgb],
-                   albedos=stack.albedos[:, :, [*rgb, *(3 + i for i in rgb)]], guides=guides)
+    surfaces = stack.surfaces[:, :, order[:CHANNELS]] * signs[:CHANNELS, None, None]
+    return replace(stack, planes=planes, reference=stack.reference[:, :, rgb], surfaces=surfaces, guides=guides)

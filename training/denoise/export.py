@@ -245,7 +245,7 @@ class ExportedPicture(PictureNetwork):
         self.load_state_dict(trunk.state_dict())
 
     def forward(self, first: torch.Tensor, last: torch.Tensor, mirrored: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        return super().forward(torch.cat((first, last), 1), mirrored)
+        return super().forward(torch.cat((first, last), 1), mirrored)[:3]
 
     @staticmethod
     def convolve(layer: nn.Conv2d, *inputs: torch.Tensor) -> torch.Tensor:

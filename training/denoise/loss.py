@@ -11,7 +11,8 @@ from torch import Tensor, nn
 
 from training import ops
 from training.denoise.dataset import Batch
-from training.denoise.model import DenoiseUpscale, Inputs, State, empty_state, trust_reflectance
+from training.denoise.model import DenoiseUpscale, Inputs, State, Step, empty_state, trust_reflectance
+from training.denoise.picture import guide_codes
 
 # Perceived difference -----------------------------------------------------------------------------------------------
 # Differentiable perceived difference: the colour part of FLIP (Andersson et al. 2020).
@@ -85,6 +86,7 @@ LIGHT = 0.5, 0.05  # weight and knee of the error of light
 DARK_REFLECTANCE, REFLECTANCE_KNEE = 0.05, 0.1
 SEEN = 0.5  # weight of the perceived difference
 ERROR = 0.1  # weight of the predicted error
+GUIDES_KNEE = 0.02  # of their codes
 ERROR_FLOOR = 0.03  # code values: smaller expected errors count alike
 NOISY = 0.2  # input error (display-encoded) of frames that count once
 
@@ -129,6 +131,13 @@ def reflectance_loss(planes: Inputs, share: Tensor, wanted: Tensor) -> Tensor:
     known = ~wanted.isnan()
     ratio = (found + DARK_REFLECTANCE) / (torch.where(known, wanted, found) + DARK_REFLECTANCE)
     return huber(ratio.log(), REFLECTANCE_KNEE)
+
+
+def guides_loss(found: Tensor, surface: Inputs) -> Tensor:
+    """Error of albedo and normal without their noise, ``found`` (N, 6, h, w), against those of the true ``surface``.
+    NaN in it does not count."""
+    wanted = guide_codes(surface.diffuse_albedo + surface.specular_albedo, surface.denoising_albedo, surface.normal)
+    return huber(torch.where(wanted.isnan(), 0.0, found - wanted), GUIDES_KNEE)
 
 
 def error_loss(predicted: Tensor, output: Tensor, reference: Tensor) -> Tensor:
@@ -232,16 +241,17 @@ class ClipLoss(nn.Module):
 
     ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops its history; ``even``
     is the largest factor that gives clips of little noise more weight (0: all have the same); ``light`` are weight and
-    knee of the error of light, ``reflectance`` is the weight of the error of the trusted reflectance. A batch with
+    knee of the error of light, ``reflectance`` is the weight of the error of the trusted reflectance, ``guides`` that
+    of the error of albedo and normal that the network has cleaned. A batch with
     inverse motion also runs backwards: each direction has a loss, and so has their blend. A batch with a state
     continues its history.
     """
 
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
-                 light: tuple[float, float] = LIGHT, reflectance: float = 0.0):
+                 light: tuple[float, float] = LIGHT, reflectance: float = 0.0, guides: float = 0.0):
         super().__init__()
         self.model, self.flicker, self.reset, self.even, self.light = model, flicker, reset, even, light
-        self.reflectance = reflectance
+        self.reflectance, self.guides = reflectance, guides
 
     def forward(self, batch: Batch) -> Results:
         # One context for the whole clip, so that weights are cast once and not once a frame.
@@ -251,37 +261,43 @@ class ClipLoss(nn.Module):
     def _clip(self, batch: Batch) -> Results:
         truth = Truth(batch, self.even, self.light)
         begin = batch.state or empty_state(batch.frames[0], *batch.references.shape[-2:])
-        ahead, counts, trust, errors, end = self._run(batch.frames, list(batch.keep), begin)
+        steps, counts = self._run(batch.frames, list(batch.keep), begin)
+        ahead, end = [step.output for step in steps], steps[-1].state
+        besides = self._trust(batch, steps) + self._planes(batch, steps)
         if batch.inverse is None:
             loss, *rest = truth.scores(ahead, self.flicker)
-            return loss + self._doubt(batch, trust) + truth.error_score(ahead, errors), *rest, end
-        back, back_counts = (x[::-1] for x in self._run(*backwards(batch), begin)[:2])
+            return loss + besides + truth.error_score(ahead, [step.error for step in steps]), *rest, end
+        back_steps, back_counts = (x[::-1] for x in self._run(*backwards(batch), begin))
+        back = [step.output for step in back_steps]
         both = [torch.lerp(b, a, n / (n + m)) for a, b, n, m in zip(ahead, back, counts, back_counts, strict=True)]
         own = [truth.scores(outputs, self.flicker)[0] for outputs in (ahead, back)]
         loss, quality, flicker = truth.scores(both, self.flicker)
-        return OWN * (own[0] + own[1]) / 2 + (1 - OWN) * loss + self._doubt(batch, trust), quality, flicker, end
+        return OWN * (own[0] + own[1]) / 2 + (1 - OWN) * loss + besides, quality, flicker, end
 
-    def _doubt(self, batch: Batch, trust: list[Tensor]) -> Tensor | float:
-        """Loss of the trust in each frame's planes."""
+    def _trust(self, batch: Batch, steps: list[Step]) -> Tensor | float:
+        """Loss of the trust in each frame's planes, (N, 1, h, w), the last hidden channel."""
         if not self.reflectance:
             return 0.0
-        errors = map(reflectance_loss, batch.frames, trust, batch.reflectance)
+        trust = [step.state.hidden[:, -1:] for step in steps]
+        errors = map(reflectance_loss, batch.frames, trust, batch.reflectance())
         return self.reflectance * sum(errors) / len(trust)
 
-    def _run(self, frames: list[Inputs], keep: list[Tensor],
-             state: State) -> tuple[list[Tensor], list[Tensor], list[Tensor], list[Tensor | None], State]:
-        """Exposed linear outputs, how many frames each has seen, itself included, (N, 1, 1, 1), the trust in its planes
-        (N, 1, h, w), the last hidden channel, its predicted error, and the last state."""
-        outputs, counts, trust, errors = [], [torch.zeros_like(keep[0])], [], []
+    def _planes(self, batch: Batch, steps: list[Step]) -> Tensor | float:
+        """Loss of albedo and normal without their noise."""
+        if not self.guides:
+            return 0.0
+        errors = [guides_loss(step.planes, surface) for step, surface in zip(steps, batch.surfaces, strict=True)]
+        return self.guides * sum(errors) / len(errors)
+
+    def _run(self, frames: list[Inputs], keep: list[Tensor], state: State) -> tuple[list[Step], list[Tensor]]:
+        """What each frame gives, and how many frames it has seen, itself included, (N, 1, 1, 1)."""
+        steps, counts = [], [torch.zeros_like(keep[0])]
         for inputs, kept in zip(frames, keep, strict=True):
             kept = (torch.rand_like(kept) >= self.reset) * kept
-            step = self.model.step(inputs, state.drop(kept))
-            state = step.state
-            outputs.append(step.output)
-            errors.append(step.error)
+            steps.append(self.model.step(inputs, state.drop(kept)))
+            state = steps[-1].state
             counts.append(1 + kept * counts[-1])
-            trust.append(state.hidden[:, -1:])
-        return outputs, counts[1:], trust, errors, state
+        return steps, counts[1:]
 
 
 def backwards(batch: Batch) -> tuple[list[Inputs], list[Tensor]]:

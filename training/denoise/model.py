@@ -461,12 +461,14 @@ def trust_reflectance(factor: Tensor, share: Tensor) -> Tensor:
 class Step:
     """What a frame gives: exposed linear ``output`` (N, 3, H, W), the next ``state``, the last output reprojected
     (log-encoded), and the logarithm of the expected squared error of each pixel (N, 1, h, w), in code values of the
-    display, or None from a network that does not predict it."""
+    display, or None from a network that does not predict it; ``planes`` are albedo and normal without their noise
+    (N, 6, h, w), as codes, or None from a network that does not clean them."""
 
     output: Tensor
     state: State
     reprojected: Tensor
     error: Tensor | None
+    planes: Tensor | None = None
 
 
 class DenoiseUpscale(nn.Module):

@@ -1,6 +1,7 @@
 """Begin with published weights: those of Open Image Denoise, as a checkpoint for --start.
 
     python -m training.denoise.open_weights -o start.pt
+    python -m training.denoise.open_weights --large -o start.pt
 
 The package pyoidn (pip install 'pyoidn==2.5.1.0') holds Open Image Denoise 2.5.1 and its weights,
 both under the Apache License 2.0. The library stores each network as a TZA archive: a table of
@@ -22,10 +23,11 @@ import torch
 from torch import Tensor
 
 from training.denoise.checkpoint import PREFIX, save
-from training.denoise.picture import PictureConfig
+from training.denoise.picture import LARGE, PictureConfig
 
 NETWORK = "rt_hdr_alb_nrm"
-SOURCE = "Open Image Denoise 2.5.1, Apache License 2.0, network rt_hdr_alb_nrm"
+LARGE_NETWORK = "rt_hdr_calb_cnrm_large"  # for albedo and normal without noise
+SOURCE = "Open Image Denoise 2.5.1, Apache License 2.0, network {network}"
 MAGIC = 0x41D7  # of a TZA archive
 TYPES = {"f": "<f4", "h": "<f2"}
 SYMBOLS = 11  # type of an ELF section: the dynamic symbol table
@@ -102,6 +104,7 @@ def published(name: str = NETWORK) -> dict[str, Tensor]:
 
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--large", action="store_true", help="the large network, for albedo and normal without noise")
     parser.add_argument("-o", "--output", type=Path, required=True, help="checkpoint to write")
     return parser
 
@@ -110,8 +113,10 @@ def main(argv: list[str] | None = None) -> None:
     parser = options()
     args = parser.parse_args(argv)
     try:
-        weights = {PREFIX + name: values.half() for name, values in published().items()}
-        save({"config": PictureConfig().as_dict(), "weights": weights, "notes": {"start": SOURCE}}, args.output)
+        network, config = (LARGE_NETWORK, LARGE) if args.large else (NETWORK, PictureConfig())
+        weights = {PREFIX + name: values.half() for name, values in published(network).items()}
+        notes = {"start": SOURCE.format(network=network)}
+        save({"config": config.as_dict(), "weights": weights, "notes": notes}, args.output)
     except (OSError, ValueError) as fault:
         parser.error(str(fault))
 

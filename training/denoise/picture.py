@@ -20,7 +20,7 @@ a rate for random weights ended below their starts (docs/lab/denoiser.md).
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -54,10 +54,9 @@ LEAST_BASE = 1e-12  # of a power, whose gradient at 0 is infinite
 GUIDED_INPUTS = 9  # colour, albedo, normal: what Open Image Denoise reads
 FURTHER_INPUTS = FEATURES + MIRRORED + 6
 HISTORY = FURTHER_INPUTS - 3  # where the codes of the last output begin among them
-BESIDE = (32, 48, 64)  # channels of the branch at 1, 1/2 and 1/4 of the size
 JUDGE = 24  # channels of what compares the picture with the history
 LEVELS = 4
-BLEND_BEGINS = 0.5  # logit of the new picture's share beside the history
+BLEND_BEGINS = 1.5  # logit of the new picture's share beside the history
 DISTRUST_BEGINS = -2.0  # logit
 HEAD_STD = 0.01
 # Channels of the controls: as the last ones of a fine head, of which the mix is the blend here.
@@ -88,14 +87,20 @@ def decode(codes: Tensor) -> Tensor:
 class PictureConfig:
     """Layout of the network.
 
-    ``down`` are the channels on the way down at 1, 1/2, 1/4, 1/8 and 1/16 of the size, ``up`` those on the way up at
-    1, 1/2, 1/4 and 1/8; ``last`` is what the last convolutions read.
+    Attributes:
+        down: channels on the way down at 1, 1/2, 1/4, 1/8 and 1/16 of the size.
+        up: channels on the way up at 1, 1/2, 1/4 and 1/8.
+        last: channels that the last convolution reads.
+        beside: channels of the branch at 1, 1/2 and 1/4 of the size.
+        large: two convolutions a level on the way down, too, as in Open Image Denoise's large networks.
     """
 
     picture: bool = True
     down: tuple[int, ...] = (32, 48, 64, 80, 96)
     up: tuple[int, ...] = (64, 64, 96, 112)
     last: int = 32
+    beside: tuple[int, ...] = (32, 48, 64)
+    large: bool = False
     trust: bool = False
     guides: bool = False
     mirrored: bool = True
@@ -120,21 +125,69 @@ class PictureConfig:
     @classmethod
     def from_dict(cls, config: dict[str, Any]) -> PictureConfig:
         known = {field.name: config[field.name] for field in fields(cls) if field.name in config}
-        return cls(**{**known, "down": tuple(known["down"]), "up": tuple(known["up"])})
+        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in known.items()})
+
+    def published_layers(self) -> dict[str, Layer]:
+        """The convolutions that a published network has, by their names there."""
+        one, two, three, four, five = self.down
+        up_one, up_two, up_three, up_four = self.up
+        if self.large:
+            way_down = {
+                "enc_conv1a": Layer(GUIDED_INPUTS, one, 0),
+                "enc_conv1b": Layer(one, one, 0),
+                "enc_conv2a": Layer(one, two, 1),
+                "enc_conv2b": Layer(two, two, 1),
+                "enc_conv3a": Layer(two, three, 2),
+                "enc_conv3b": Layer(three, three, 2),
+                "enc_conv4a": Layer(three, four, 3),
+                "enc_conv4b": Layer(four, four, 3),
+            }
+        else:
+            way_down = {
+                "enc_conv0": Layer(GUIDED_INPUTS, one, 0),
+                "enc_conv1": Layer(one, one, 0),
+                "enc_conv2": Layer(one, two, 1),
+                "enc_conv3": Layer(two, three, 2),
+                "enc_conv4": Layer(three, four, 3),
+            }
+        return way_down | {
+            "enc_conv5a": Layer(four, five, 4),
+            "enc_conv5b": Layer(five, five, 4),
+            "dec_conv4a": Layer(five + three, up_four, 3),
+            "dec_conv4b": Layer(up_four, up_four, 3),
+            "dec_conv3a": Layer(up_four + two, up_three, 2),
+            "dec_conv3b": Layer(up_three, up_three, 2),
+            "dec_conv2a": Layer(up_three + one, up_two, 1),
+            "dec_conv2b": Layer(up_two, up_two, 1),
+            "dec_conv1a": Layer(up_two + GUIDED_INPUTS, up_one, 0),
+            "dec_conv1b": Layer(up_one, self.last, 0),
+            self.picture_layer: Layer(self.last, 3, 0),
+        }
+
+    @property
+    def picture_layer(self) -> str:
+        """Name of the convolution that gives the picture."""
+        return "dec_conv1c" if self.large else "dec_conv0"
 
     def products(self) -> float:
         """Multiplications of the network a render pixel."""
-        total = 0.0
-        for name, module in PictureNetwork(self).named_modules():
-            if isinstance(module, nn.Conv2d):
-                total += module.weight.numel() / 4 ** LEVEL_OF.get(name, 0)
-        return total
+        levels = BRANCH_LEVELS | {name: layer.level for name, layer in self.published_layers().items()}
+        return sum(module.weight.numel() / 4 ** levels.get(name, 0)
+                   for name, module in PictureNetwork(self).named_modules() if isinstance(module, nn.Conv2d))
 
 
-LEVEL_OF = {"branch.half_down": 1, "branch.half_up": 1, "branch.quarter_in": 2, "branch.quarter_out": 2,
-            "enc_conv2": 1, "enc_conv3": 2, "enc_conv4": 3, "enc_conv5a": 4, "enc_conv5b": 4,
-            "dec_conv4a": 3, "dec_conv4b": 3, "dec_conv3a": 2, "dec_conv3b": 2, "dec_conv2a": 1, "dec_conv2b": 1}
-"""Levels of convolutions below the render size."""
+class Layer(NamedTuple):
+    """A convolution of a published network: channels that it reads and writes, and levels below the render size."""
+
+    inputs: int
+    outputs: int
+    level: int
+
+
+LARGE = PictureConfig(down=(64, 96, 128, 192, 256), up=(64, 96, 128, 192), last=64, large=True)
+"""The layout of Open Image Denoise's large networks."""
+BRANCH_LEVELS = {"branch.half_down": 1, "branch.half_up": 1, "branch.quarter_in": 2, "branch.quarter_out": 2}
+"""Levels of convolutions of the branch below the render size."""
 
 
 def conv(inputs: int, outputs: int) -> nn.Conv2d:
@@ -142,41 +195,25 @@ def conv(inputs: int, outputs: int) -> nn.Conv2d:
 
 
 class PictureNetwork(nn.Module):
-    """Features (N, 35, h, w) and planes of mirrors (N, 6, h, w), h and w multiples of 16 -> three tensors of that size.
+    """Features (N, 35, h, w) and planes of mirrors (N, 6, h, w), h and w multiples of 16 -> four tensors of that size.
 
     - the picture (N, 3, h, w): log(1 + exposed colour),
     - the controls (N, 11, h, w): share of this picture beside the history, distrust of what was
       accumulated, 1, and the hidden state (8),
-    - the logarithm of the expected squared error of each pixel, (N, 1, h, w).
+    - the logarithm of the expected squared error of each pixel, (N, 1, h, w),
+    - albedo and normal without their noise, as `guide_codes` (N, 6, h, w): for training alone.
     """
 
     def __init__(self, config: PictureConfig | None = None):
         super().__init__()
         self.config = config or PictureConfig()
         self.align = self.config.align
-        one, two, three, four, five = self.config.down
-        up_one, up_two, up_three, up_four = self.config.up
-        last = self.config.last
-        self.enc_conv0 = conv(GUIDED_INPUTS, one)
-        self.enc_conv1 = conv(one, one)
-        self.enc_conv2 = conv(one, two)
-        self.enc_conv3 = conv(two, three)
-        self.enc_conv4 = conv(three, four)
-        self.enc_conv5a = conv(four, five)
-        self.enc_conv5b = conv(five, five)
-        self.dec_conv4a = conv(five + three, up_four)
-        self.dec_conv4b = conv(up_four, up_four)
-        self.dec_conv3a = conv(up_four + two, up_three)
-        self.dec_conv3b = conv(up_three, up_three)
-        self.dec_conv2a = conv(up_three + one, up_two)
-        self.dec_conv2b = conv(up_two, up_two)
-        self.dec_conv1a = conv(up_two + GUIDED_INPUTS, up_one)
-        self.dec_conv1b = conv(up_one, last)
-        self.dec_conv0 = conv(last, 3)
-        self.branch = Branch(GUIDED_INPUTS + FURTHER_INPUTS)
-        known = BESIDE[0]
+        for name, layer in self.config.published_layers().items():
+            setattr(self, name, conv(layer.inputs, layer.outputs))
+        up_one, last, known = self.config.up[0], self.config.last, self.config.beside[0]
+        self.branch = Branch(GUIDED_INPUTS + FURTHER_INPUTS, self.config.beside)
         self.correct = conv(known, GUIDED_INPUTS)
-        self.enter = nn.Conv2d(known, one, 3, padding=1, bias=False)
+        self.enter = nn.Conv2d(known, self.config.down[0], 3, padding=1, bias=False)
         self.join = nn.Conv2d(known, up_one, 1)
         self.judge = nn.Sequential(conv(last + known + 6, JUDGE), nn.ReLU())
         self.controls = nn.Conv2d(JUDGE, CONTROLS, 1)
@@ -192,29 +229,45 @@ class PictureNetwork(nn.Module):
         nn.init.constant_(self.controls.bias[DISTRUST], DISTRUST_BEGINS)
         nn.init.constant_(self.error.bias, USUAL_ERROR)
 
-    def forward(self, features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         guided, further = network_inputs(features, mirrored)
         known = self.branch(torch.cat((guided, further), 1))
-        stream = self.published_stream(guided + self.correct(known), known) + self.join(known)
+        corrected = guided + self.correct(known)
+        way_down = self.large_way_down if self.config.large else self.way_down
+        stream = self.way_up(*way_down(corrected, known), corrected) + self.join(known)
         stream = F.relu(self.dec_conv1b(F.relu(stream)))
         with torch.autocast(stream.device.type, enabled=False):  # a step of bfloat16 in a code is 2 % of the light
-            codes = self.dec_conv0(stream.float()).clamp(0.0, 1.0)
+            codes = getattr(self, self.config.picture_layer)(stream.float()).clamp(0.0, 1.0)
         history = further[:, HISTORY:]
         compared = torch.cat((codes, codes - history), 1)
         judged = F.relu(self.convolve(self.judge[0], stream, known, compared))
         with torch.autocast(stream.device.type, enabled=False):
             judged = judged.float()
-            return activate(codes, self.controls(judged), self.error(judged))
+            found = activate(codes, self.controls(judged), self.error(judged))
+        return *found, corrected[:, 3:]
 
-    def published_stream(self, guided: Tensor, known: Tensor) -> Tensor:
-        """The finest level's stream before the last three convolutions."""
+    def way_down(self, guided: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The streams at 1/2, 1/4, 1/8 and 1/16 of the size, each before its level's convolutions; the last one after
+        them."""
         x = F.relu(self.enc_conv0(guided) + self.enter(known))
         first = F.max_pool2d(F.relu(self.enc_conv1(x)), 2)
         second = F.max_pool2d(F.relu(self.enc_conv2(first)), 2)
         third = F.max_pool2d(F.relu(self.enc_conv3(second)), 2)
         x = F.max_pool2d(F.relu(self.enc_conv4(third)), 2)
-        x = F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
-        x = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(beside(x, third)))))
+        return first, second, third, F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
+
+    def large_way_down(self, guided: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The same with two convolutions a level."""
+        x = F.relu(self.enc_conv1a(guided) + self.enter(known))
+        first = F.max_pool2d(F.relu(self.enc_conv1b(x)), 2)
+        second = F.max_pool2d(F.relu(self.enc_conv2b(F.relu(self.enc_conv2a(first)))), 2)
+        third = F.max_pool2d(F.relu(self.enc_conv3b(F.relu(self.enc_conv3a(second)))), 2)
+        x = F.max_pool2d(F.relu(self.enc_conv4b(F.relu(self.enc_conv4a(third)))), 2)
+        return first, second, third, F.relu(self.enc_conv5b(F.relu(self.enc_conv5a(x))))
+
+    def way_up(self, first: Tensor, second: Tensor, third: Tensor, coarsest: Tensor, guided: Tensor) -> Tensor:
+        """The finest level's stream before its last convolutions."""
+        x = F.relu(self.dec_conv4b(F.relu(self.dec_conv4a(beside(coarsest, third)))))
         x = F.relu(self.dec_conv3b(F.relu(self.dec_conv3a(beside(x, second)))))
         x = F.relu(self.dec_conv2b(F.relu(self.dec_conv2a(beside(x, first)))))
         return self.convolve(self.dec_conv1a, enlarge(x), guided)
@@ -230,14 +283,14 @@ class PictureNetwork(nn.Module):
 
 
 class Branch(nn.Module):
-    """All inputs (N, C, h, w) -> what the branch knows of each pixel, (N, 32, h, w).
+    """All inputs (N, C, h, w) -> what the branch knows of each pixel, (N, K, h, w).
 
     It sees about 20 pixels around each.
     """
 
-    def __init__(self, inputs: int):
+    def __init__(self, inputs: int, channels: tuple[int, ...]):
         super().__init__()
-        one, two, three = BESIDE
+        one, two, three = channels
         self.full = conv(inputs, one)
         self.half_down = conv(one, two)
         self.quarter_in = conv(two, three)
@@ -280,11 +333,17 @@ def network_inputs(features: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
     colour, accumulated, history = (
         encode((torch.expm1(features[:, first:first + 3]) * factor).clamp(0.0, MOST_LIGHT))
         for first in (0, 3, 6))
-    total = (diffuse + specular).clamp(0.0, 1.0)
-    followed = mirrored[:, :3]
-    albedo = torch.where(followed.amax(1, keepdim=True) > 0, followed, total)
-    guided = torch.cat((colour, albedo, 0.5 * normal + 0.5), 1)
+    guided = torch.cat((colour, guide_codes(diffuse + specular, mirrored[:, :3], normal)), 1)
     return guided, torch.cat((features, mirrored, accumulated, history), 1)
+
+
+def guide_codes(total: Tensor, followed: Tensor, normal: Tensor) -> Tensor:
+    """Albedo and normal as Open Image Denoise's networks read them, (N, 6, h, w) in [0, 1].
+
+    The albedo is the ``followed`` one (N, 3, h, w), seen through mirrors and glass, or else the ``total`` (N, 3, h, w).
+    """
+    albedo = torch.where(followed.amax(1, keepdim=True) > 0, followed, total.clamp(0.0, 1.0))
+    return torch.cat((albedo, 0.5 * normal + 0.5), 1)
 
 
 class PictureDenoiser(nn.Module):
@@ -305,7 +364,7 @@ class PictureDenoiser(nn.Module):
         scale = ops.depth_scale(inputs.depth)
         seen = [network.features(inputs, past, factor, scale), network.mirrored_features(inputs)]
         padded = (network.mirror_to_multiple(x, self.trunk.align) for x in seen)
-        picture, controls, error = (x[..., :h, :w] for x in self.trunk(*padded))
+        picture, controls, error, planes = (x[..., :h, :w] for x in self.trunk(*padded))
         noisy = network.hold(network.demodulate(inputs.colour, factor))
         distrust = controls[:, DISTRUST:IMPORTANCE]
         accumulated, count = network.accumulate(noisy, past.accumulated, past.count, distrust)
@@ -313,7 +372,7 @@ class PictureDenoiser(nn.Module):
         output = network.blend_with_history(picture, past.output, share)
         state = State(output, accumulated, count, controls[:, MEMORY:], inputs.depth,
                       torch.ones_like(state.fresh))
-        return Step(torch.expm1(output), state, past.output, error)
+        return Step(torch.expm1(output), state, past.output, error, planes)
 
 
 def layout_from(config: dict[str, Any]) -> TrunkConfig | ResidualConfig | PictureConfig:

@@ -40,7 +40,7 @@ from training.denoise.dataset import Augment, Batch, Clip, ClipPool, collate, to
 from training.denoise.gradient import FlatGradient, GradientStep, fuse
 from training.denoise.loss import LIGHT, ClipLoss
 from training.denoise.model import DenoiseUpscale, State, Trunk, TrunkConfig, empty_state
-from training.denoise.picture import PictureDenoiser
+from training.denoise.picture import LARGE, PictureConfig, PictureDenoiser, PictureNetwork
 from training.denoise.residual import ResidualConfig, ResidualTrunk
 from training.measure.runs import append_run
 
@@ -76,6 +76,11 @@ def options() -> argparse.ArgumentParser:
                         "--start with the file of training.denoise.open_weights")
     parser.add_argument("--published-rate", type=float, default=0.05, metavar="SHARE", help="with --picture: of the "
                         "learning rate, for the weights of a published network; 0 keeps them (default: %(default)s)")
+    parser.add_argument("--large", action="store_true",
+                        help="with --picture: the layout of the large published network")
+    parser.add_argument("--clean-planes", type=float, default=0.0, metavar="WEIGHT",
+                        help="with --picture: weight of the error of albedo and normal that the network has cleaned "
+                             "(default: %(default)s)")
     parser.add_argument("--down", type=int, nargs="+", default=list(ResidualConfig.down), metavar="N",
                         help="with --residual: blocks of each level on the way down")
     parser.add_argument("--up", type=int, nargs="+", default=list(ResidualConfig.up), metavar="N",
@@ -166,7 +171,9 @@ def trunk_of(args: argparse.Namespace) -> Trunk | ResidualTrunk:
 
 def network_of(args: argparse.Namespace) -> DenoiseUpscale | PictureDenoiser:
     """The denoiser of the arguments, with random weights."""
-    return PictureDenoiser() if args.picture else DenoiseUpscale(trunk=trunk_of(args))
+    if args.picture:
+        return PictureDenoiser(PictureNetwork(LARGE if args.large else PictureConfig()))
+    return DenoiseUpscale(trunk=trunk_of(args))
 
 
 def rate_groups(model: DenoiseUpscale | PictureDenoiser, published: float) -> list[dict[str, Any]]:
@@ -270,6 +277,14 @@ def add_row(path: Path, *values: float) -> None:
 
 # Training -----------------------------------------------------------------------------------------------------------
 
+def tell_empty_folders(pool: ClipPool) -> None:
+    """Name the folders from which no clip is trained on, as when what fills them has failed."""
+    filled = {path.parent for path in pool.seen}
+    for folder in pool.folders:
+        if folder not in filled:
+            print(f"no clip of {folder} is there yet: training on the others until some come", flush=True)
+
+
 def wait_for_clips(pool: ClipPool, wanted: int | None, where: str) -> None:
     """Wait for as many clips; for `USUAL_WAIT` without a number, or those that are there once no other comes."""
     count, since = pool.refresh(), time.monotonic()
@@ -296,6 +311,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
     pool = ClipPool(dict(args.clips), device, args.guides, rank, world, pairs=kinds,
                     blank_volumes=not args.volumes)
     wait_for_clips(pool, args.wait, folder_names(args))
+    tell_empty_folders(pool)
     augment = Augment(clean=args.clean, false_motion=args.false_motion)
 
     # The network, the average of its weights, and its loss.
@@ -305,7 +321,7 @@ def train(args: argparse.Namespace, rank: int = 0, world: int = 1, device: torch
         model.load_state_dict(widen(load_weights(args.start, args.trust), model.state_dict()))
     groups = rate_groups(model, args.published_rate)
     average = Average(model, DECAY)
-    loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance)
+    loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light), args.reflectance, args.clean_planes)
     flat = FlatGradient([weight for group in groups for weight in group["params"]])
     gradient = GradientStep(loss, flat)
     optimiser = torch.optim.AdamW(groups, lr=args.rate, betas=(0.9, 0.99), weight_decay=1e-4,

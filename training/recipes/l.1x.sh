@@ -32,18 +32,18 @@ else
 fi
 views=(--out "$work/raw" --gpus "$renderer" --processes-per-gpu "$processes" --minutes "$rendering" --seed "$seed"
     --blender "$blender" --real "$library" --clips 8000 --report 20
-    --even-spp 64 --half-samples 48 --frames 5 --width 400 --height 224 --scale 1)
+    --even-spp 128 --half-samples 160 --frames 4 --width 320 --height 192 --scale 1)
 small=(--out "$work/mitsuba" --gpus 0 --processes-per-gpu 7 --minutes "$head" --seed "$((seed + 1))"
-    --real "$library" --clips 4000 --report 20 --even-spp 64 --frames 5 --width 128 --height 128 --scale 1)
+    --real "$library" --clips 4000 --report 20 --even-spp 128
+    --reference-spp 256 --reference-error 0.008 --frames 4 --width 128 --height 128 --scale 1)
 
-CUDA_VISIBLE_DEVICES=0 "$python" -m training.datagen.formula --out "$work/formula" --clips 96 --frames 5 --scale 1 \
+CUDA_VISIBLE_DEVICES=0 "$python" -m training.datagen.formula --out "$work/formula" --clips 96 --frames 4 --scale 1 \
     --seed "$seed" >"$work/logs/formula.log" 2>&1 &
 "$python" -m training.datagen.render "${small[@]}" >"$work/logs/mitsuba.log" 2>&1 &
 "$python" -m training.datagen.render "${views[@]}" >"$work/logs/cycles.log" 2>&1 &
 start=${START:-$work/start.pt}
 [ -e "$start" ] || "$python" -m training.denoise.open_weights -o "$start"
-"$python" -m training.datagen.clean_references "$work/raw" "$work/views" --network "$start" \
-    --watch "$((rendering + 1))" --device "cuda:$renderer" >"$work/logs/clean.log" 2>&1 &
+"$python" -m training.datagen.clean_references "$work/raw" "$work/views" --watch "$((rendering + 1))" >"$work/logs/clean.log" 2>&1 &
 
 sleep "$((60 * head))"
 left=$((60 * minutes - $(date +%s) + began))

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
+pytest.importorskip("pyoidn")
 
 from training.datagen import clean_references, formula  # noqa: E402
 from training.datagen.clip_file import load_clip, save_clip  # noqa: E402
+from training.denoise.dataset import compared, load  # noqa: E402
 
-NETWORK = Path(__file__).parents[3] / "models" / "denoise_upscale.s.1x.onnx"
 FRAMES = 3
 SIDE = 64
 NOISE = 4.0  # shape of the gamma distribution that stands in for few samples
@@ -46,15 +47,24 @@ def test_references_lose_their_noise_and_files_move(folders: tuple[Path, Path, n
                                                     capsys: pytest.CaptureFixture[str]) -> None:
     raw, folder, truth = folders
     before = {path.name: load_clip(path) for path in raw.glob("*.npz")}
-    assert clean_references.main([str(raw), str(folder), "--network", str(NETWORK), "--device", "cpu"]) == 0
+    assert clean_references.main([str(raw), str(folder), "--threads", "1"]) == 0
     assert capsys.readouterr().out.strip().endswith("2 clips, 1 of them cleaned")
     assert not list(raw.iterdir())
     after = {path.name: load_clip(path) for path in folder.iterdir()}
     noisy, clean = before["clip.00000.npz"], after["clip.00000.npz"]
-    for name in ("reference", "half"):
-        assert error(clean[name], truth) < 0.5 * error(noisy[name], truth), name
+    assert error(clean["reference"], truth) < 0.5 * error(noisy["reference"], truth)
+    assert "half" not in clean
     same = set(noisy) - {"reference", "half", "meta"}
     assert all(np.array_equal(noisy[name], clean[name]) for name in same)
     plain = before["clip.00001.npz"]
     moved = after["clip.00001.npz"]
     assert all(np.array_equal(plain[name], moved[name]) for name in plain if name != "meta")
+
+
+def test_a_render_whose_reference_is_gone_is_not_trained_on(folders: tuple[Path, Path, np.ndarray]) -> None:
+    """It holds half of the reference's own samples, and stays for its planes."""
+    _, folder, _ = folders
+    cleaned = load(folder / "clip.00000.npz", torch.device("cpu"))
+    half = cleaned.halved.index(True)
+    assert half not in compared(cleaned)
+    assert len(compared(cleaned)) == len(cleaned.planes) - 1

@@ -36,6 +36,7 @@ from training.denoise.dataset import (  # noqa: E402
     to_batch,
     true_planes,
 )
+from training.denoise.picture import guide_codes  # noqa: E402
 
 SIZE = 40, 30
 """Width and height."""
@@ -48,7 +49,7 @@ def entries(count: int) -> Stack:
     for channel, value in zip(range(MOTION, MOTION + 4), (1.0, -2.0, 5.0, 7.0), strict=True):
         planes[:, :, channel] = value
     repeated = {name: getattr(clip, name).repeat(count, *[1] * (getattr(clip, name).ndim - 1))
-                for name in ("jitter", "spread", "keep", "reference", "albedos", "exposure")}
+                for name in ("jitter", "spread", "keep", "reference", "surfaces", "exposure")}
     return replace(clip, planes=planes, guides=None, pairs=("static",), **repeated)
 
 
@@ -191,7 +192,7 @@ def test_later_turns_play_the_same_windows_the_other_way(tmp_path: Path) -> None
         turns.append(pool.draw(2, 16, 0, turn=turn))
     first, back, again = turns
     assert torch.equal(back.reference, first.reference.flip(1)) and torch.equal(again.reference, first.reference)
-    assert torch.equal(back.jitter, first.jitter.flip(1)) and torch.equal(back.albedos, first.albedos.flip(1))
+    assert torch.equal(back.jitter, first.jitter.flip(1)) and torch.equal(back.surfaces.nan_to_num(), first.surfaces.flip(1).nan_to_num())
     assert torch.equal(back.planes[:, :, :MOTION], first.planes[:, :, :MOTION].flip(1))
     inverse = torch.from_numpy(inverse_motion(np.load(path), "v0")).abs()
     assert float(back.planes[:, 1, MOTION].abs().amax()) <= float(inverse.amax()) + 1e-3
@@ -227,7 +228,21 @@ def test_true_reflectance_follows_the_planes_through_augmentation() -> None:
         batch = Augment(drop=drop)(moving_clip(2))
         seen = [ops.demodulation(frame.diffuse_albedo, frame.specular_albedo) for frame in batch.frames]
         known = drop == 0  # a clip that lost its albedo has nothing to trust
-        assert torch.equal(batch.reflectance, torch.stack(seen)) if known else batch.reflectance.isnan().all()
+        found = torch.stack(batch.reflectance())
+        assert torch.equal(found, torch.stack(seen)) if known else found.isnan().all()
+
+
+def test_cleaned_planes_are_compared_with_true_ones_through_augmentation() -> None:
+    """The clip's planes have no noise, so that they are their own truth."""
+    torch.manual_seed(4)
+    random.seed(4)
+    for drop in (0.0, 1.0, 100.0):
+        batch = Augment(drop=drop)(moving_clip(4))
+        for frame, surface in zip(batch.frames, batch.surfaces, strict=True):
+            own = guide_codes(frame.diffuse_albedo + frame.specular_albedo, frame.denoising_albedo, frame.normal)
+            assert losses.guides_loss(own, surface) == 0
+            if drop == 0:
+                assert losses.guides_loss(own + 0.1, surface) > 0
 
 
 def test_the_loss_of_reflectance_asks_for_trust_where_planes_are_right_and_for_doubt_where_they_are_noise() -> None:

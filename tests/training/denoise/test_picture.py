@@ -11,10 +11,11 @@ from postfx import DenoiseUpscale, Device, Frame, Pipeline
 from postfx.errors import PassOptionError
 from postfx.frame import Role
 from training.denoise import open_weights
-from training.denoise.checkpoint import PREFIX, mix, save, widen
+from training.denoise.checkpoint import PREFIX, graft, mix, save, widen
 from training.denoise.export import card, export_trunk, load_trunk
 from training.denoise.model import Inputs, empty_state
 from training.denoise.picture import (
+    LARGE,
     MOST_LIGHT,
     PictureConfig,
     PictureDenoiser,
@@ -97,26 +98,30 @@ def test_the_codes_grow_with_light_across_the_joints_of_the_curve():
     assert (codes.diff() > 0).all()
 
 
-def test_it_begins_as_the_published_network():
+@pytest.mark.parametrize(("network", "config", "planes"), (
+    pytest.param(open_weights.NETWORK, PictureConfig(), "raw", id="usual"),
+    pytest.param(open_weights.LARGE_NETWORK, LARGE, "clean", id="large"),
+))
+def test_it_begins_as_the_published_network(network, config, planes):
     """With the published weights a first frame is Open Image Denoise's picture."""
     pytest.importorskip("pyoidn")
     from postfx.oidn import OpenImageDenoise
 
-    weights = {PREFIX + name: values for name, values in open_weights.published().items()}
-    denoiser = PictureDenoiser().eval()
+    weights = {PREFIX + name: values for name, values in open_weights.published(network).items()}
+    denoiser = PictureDenoiser(PictureNetwork(config)).eval()
     denoiser.load_state_dict(widen(weights, denoiser.state_dict()))
     frame = next(shot())
     height, width = (side // 16 * 16 for side in SIZE)
-    planes = {role: plane[:height, :width] for role, plane in frame.planes.items()}
-    inputs = Inputs(*(image(planes[role]) for role in (
+    cut = {role: plane[:height, :width] for role, plane in frame.planes.items()}
+    inputs = Inputs(*(image(cut[role]) for role in (
         Role.COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)),
         jitter=torch.zeros(1, 2))
     with torch.no_grad():
         found = denoiser.step(inputs, empty_state(inputs, height, width)).output[0].permute(1, 2, 0).numpy()
     expected = np.empty((height, width, 3), np.float32)
-    albedo = np.clip(planes[Role.DIFFUSE_ALBEDO] + planes[Role.SPECULAR_ALBEDO], 0, 1)
-    OpenImageDenoise("high", "cpu", 1, planes="raw")(
-        planes[Role.COLOUR], {"albedo": albedo, "normal": planes[Role.NORMAL]}, expected)
+    albedo = np.clip(cut[Role.DIFFUSE_ALBEDO] + cut[Role.SPECULAR_ALBEDO], 0, 1)
+    OpenImageDenoise("high", "cpu", 1, planes=planes)(
+        cut[Role.COLOUR], {"albedo": albedo, "normal": cut[Role.NORMAL]}, expected)
     # Open Image Denoise brings the picture to a mean brightness of its own first, so codes are not the same.
     np.testing.assert_allclose(displayed(found).mean(), displayed(expected).mean(), rtol=0.01)
     assert np.abs(displayed(found) - displayed(expected)).mean() < 0.01
@@ -146,8 +151,19 @@ def test_it_keeps_the_size(denoiser):
         denoiser.step(inputs, empty_state(inputs, 80, 112))
 
 
-def test_a_config_tells_its_layout():
-    assert layout_from(SMALL.as_dict()) == SMALL
+@pytest.mark.parametrize("config", (SMALL, LARGE), ids=("small", "large"))
+def test_a_config_tells_its_layout(config):
+    assert layout_from(json.loads(json.dumps(config.as_dict()))) == config
+
+
+def test_the_large_layout_has_the_products_of_the_large_published_network():
+    """312 thousand a pixel, without what is added."""
+    published = sum(layer.inputs * layer.outputs * 9 / 4**layer.level for layer in LARGE.published_layers().values())
+    assert published == pytest.approx(312e3, rel=0.005)
+    assert LARGE.products() > published
+
+
+def test_a_layout_needs_all_levels():
     with pytest.raises(ValueError, match="5 channels down"):
         PictureConfig(down=(8, 8))
 
@@ -205,3 +221,15 @@ def test_a_mixture_with_published_weights_fades_what_was_added(tmp_path, denoise
     newer = mix([(tmp_path / "trained.pt", 1.0)], newer=0.5)["weights"][PREFIX + "controls.bias"]
     changed = newer - trained[PREFIX + "controls.bias"]
     assert changed[0] == pytest.approx(0.5) and not changed[1:].any()
+
+
+def test_a_graft_adds_the_layers_that_a_network_lacks(tmp_path, denoiser):
+    trained = denoiser.state_dict()
+    published = {name: torch.zeros_like(values) for name, values in trained.items() if "_conv" in name}
+    for name, weights in (("trained", trained), ("published", published)):
+        save({"config": SMALL.as_dict(), "weights": weights, "notes": {}}, tmp_path / f"{name}.pt")
+    found = graft(tmp_path / "published.pt", tmp_path / "trained.pt", ["branch"])["weights"]
+    assert set(found) == set(published) | {name for name in trained if name.startswith(PREFIX + "branch.")}
+    assert not any(found[name].any() for name in published)
+    with pytest.raises(ValueError, match="no layer twig"):
+        graft(tmp_path / "published.pt", tmp_path / "trained.pt", ["twig"])

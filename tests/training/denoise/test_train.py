@@ -70,7 +70,7 @@ def moving_clip(scale: int, frames: int = 2) -> Stack:
         reference.append(pattern(*rotated_back(*grid(scale * H, scale * W), t)))
     guides = torch.rand(1, frames, 11, scale * H, scale * W)
     return Stack(planes[None], jitter[None], torch.tensor([False]), torch.ones(1, frames), torch.stack(reference)[None],
-                 planes[None, :, 3:9], guides, torch.ones(1, 1, 1, 1))
+                 planes[None].clone(), guides, torch.ones(1, 1, 1, 1))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -292,7 +292,7 @@ def test_a_batch_with_a_state_continues_its_history() -> None:
     """Two halves of a clip, the second with the state after the first, give what the whole clip gives."""
     torch.manual_seed(0)
     model = small_model()
-    half = replace(to_batch(moving_clip(2)), keep=torch.ones(2, 1, 1, 1, 1), reflectance=None)
+    half = replace(to_batch(moving_clip(2)), keep=torch.ones(2, 1, 1, 1, 1), surfaces=None)
     whole = replace(half, frames=half.frames * 2, references=half.references.repeat(2, 1, 1, 1, 1),
                     keep=half.keep.repeat(2, 1, 1, 1, 1))
     loss = train.ClipLoss(model, flicker=0.0, reset=0.0)
@@ -340,6 +340,18 @@ class Filling:
     def refresh(self) -> int:
         self.looks += 1
         return self.counts[min(self.looks, len(self.counts)) - 1]
+
+
+def test_a_folder_without_clips_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    full, empty = tmp_path / "full", tmp_path / "empty"
+    for folder in (full, empty):
+        folder.mkdir()
+    write_clips(full, 1)
+    pool = train.ClipPool({full: 1.0, empty: 4.0}, torch.device("cpu"))
+    pool.refresh()
+    train.tell_empty_folders(pool)
+    said = capsys.readouterr().out
+    assert f"no clip of {empty} is there yet" in said and str(full) not in said
 
 
 def test_the_wait_fits_the_number_of_clips(monkeypatch, capsys):

@@ -1,6 +1,6 @@
 """Clips that Blender's Cycles renders: a Blender process renders EXR files, and the project's own reader reads them.
 
-A clip has two noisy renders with drawn sample counts. At whole scales a third one comes for free: half of the
+A clip has some noisy renders with drawn sample counts. At whole scales a further one comes for free: half of the
 reference's samples, averaged down to the render size and compared with the other, independent half.
 """
 
@@ -29,13 +29,15 @@ NO_ROUGHNESS = 0.5  # stands in for roughness, which Cycles does not write
 
 @dataclass(frozen=True)
 class CyclesOptions:
-    """Sizes and counts. `half_samples` are camera samples a render pixel in each half of the reference."""
+    """Sizes and counts. `half_samples` are camera samples a render pixel in each half of the reference, at most;
+    `renders` are noisy ones."""
 
     width: int = 128
     height: int = 128
     frames: int = 8
     most_spp: int = 64
     half_samples: int = 256
+    renders: int = 2
     scales: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0)
     scale_chances: tuple[float, ...] = (0.25, 0.1, 0.5, 0.15)
     kind: str | None = None
@@ -71,7 +73,7 @@ def make_clip(blender: Blender, options: CyclesOptions, seed: int, index: int) -
     """Reference (T, H, W, 3), noisy renders and facts for `save_clip`; the same seed and index give the same clip."""
     rng = np.random.default_rng([seed, index, 1])
     scale = float(rng.choice(options.scales, p=options.scale_chances))
-    spp = [round(2 ** rng.uniform(0, np.log2(options.most_spp))) for _ in range(2)]
+    spp = [round(2 ** rng.uniform(0, np.log2(options.most_spp))) for _ in range(options.renders)]
     if scale != int(scale):
         spp.append(round(2 ** rng.uniform(np.log2(options.most_spp), 8)))
     half_spp = max(round(options.half_samples / scale**2), 16)

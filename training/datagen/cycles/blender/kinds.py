@@ -33,14 +33,16 @@ KINDS = {  # how often each is drawn for training
     "interior": 0.11,
     "outdoor": 0.06,
     "product": 0.06,
-    "text": 0.04,
-    "water": 0.06,
+    "text": 0.07,
+    "water": 0.08,
     "snow": 0.03,
     "lamps": 0.04,
     "fire": 0.04,
-    "cloth": 0.02,
+    "cloth": 0.05,
 }
 
+
+HALFTONES = 0.4  # share of pages that are printed in dots
 
 # The library: things that were modelled by others
 
@@ -507,8 +509,11 @@ def text(library: Library, frames: int, rng: Rng) -> Shot:
         page = library.pages[rng.integers(len(library.pages))]
         dark = rng.random() < 0.3
         ink, paper = parts.colour_of(rng), tuple(rng.uniform(0.5, 0.9, 3))
-        made = parts.page_material(page, paper if dark else ink, ink if dark else paper,
-                             2 ** rng.uniform(-1, 4) if rng.random() < 0.3 else 0.0)
+        if rng.random() < HALFTONES:
+            made = parts.halftone_material(rng)
+        else:
+            made = parts.page_material(page, paper if dark else ink, ink if dark else paper,
+                                       2 ** rng.uniform(-1, 4) if rng.random() < 0.3 else 0.0)
         at = shot.target + (*rng.normal(0, 0.7, 2), rng.uniform(0.1, 0.5))
         half, turn, lean = rng.uniform(0.3, 0.9), rng.uniform(-0.5, 0.5), rng.uniform(-1.2, 0.3)
         pose = Matrix.Translation(at) @ Matrix.Rotation(turn, 4, "Z") @ Matrix.Rotation(math.pi / 2 + lean, 4, "X")

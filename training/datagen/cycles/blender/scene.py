@@ -310,6 +310,42 @@ def page_material(image: Path, ink: Colour, paper: Colour, emission: float = 0.0
     return made
 
 
+def halftone_material(rng: Rng) -> bpy.types.Material:
+    """A print of dots in one to three inks, each at an angle of its own; dots grow where a soft pattern is dark."""
+    made, shader = principled("halftone")
+    tree = made.node_tree
+    at, shade = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexNoise")
+    shade.inputs["Scale"].default_value = rng.uniform(1, 6)
+    tree.links.new(at.outputs["UV"], shade.inputs["Vector"])
+    dots_a_side = 2 ** rng.uniform(4.5, 7)
+    colour = None
+    for _ in range(int(rng.integers(1, 4))):
+        place, dots = tree.nodes.new("ShaderNodeMapping"), tree.nodes.new("ShaderNodeTexVoronoi")
+        place.inputs["Rotation"].default_value[2] = rng.uniform(0, 1.6)
+        dots.voronoi_dimensions = "2D"
+        dots.inputs["Randomness"].default_value = 0.0
+        dots.inputs["Scale"].default_value = dots_a_side
+        reach, inside = tree.nodes.new("ShaderNodeMath"), tree.nodes.new("ShaderNodeMath")
+        reach.operation, inside.operation = "MULTIPLY", "LESS_THAN"
+        reach.inputs[1].default_value = rng.uniform(0.5, 1.2)
+        mix = tree.nodes.new("ShaderNodeMix")
+        mix.data_type = "RGBA"
+        mix.inputs["A"].default_value = (*rng.uniform(0.6, 0.9, 3), 1)
+        mix.inputs["B"].default_value = (*colour_of(rng), 1)
+        tree.links.new(at.outputs["UV"], place.inputs["Vector"])
+        tree.links.new(place.outputs[0], dots.inputs["Vector"])
+        tree.links.new(shade.outputs[0], reach.inputs[0])
+        tree.links.new(dots.outputs["Distance"], inside.inputs[0])
+        tree.links.new(reach.outputs[0], inside.inputs[1])
+        tree.links.new(inside.outputs[0], mix.inputs["Factor"])
+        if colour is not None:
+            tree.links.new(colour, mix.inputs["A"])
+        colour = next(o for o in mix.outputs if o.type == "RGBA")
+    tree.links.new(colour, shader.inputs["Base Color"])
+    shader.inputs["Roughness"].default_value = rng.uniform(0.3, 0.9)
+    return made
+
+
 def leaf_material(rng: Rng) -> bpy.types.Material:
     """Thin leaves: diffuse, translucent and a little glossy."""
     made, shader = principled("leaf")

@@ -24,8 +24,8 @@ from .kinds import Library
 
 THREADS = 2  # a process: many run side by side
 DARKEST_SHARE = 0.02  # of the mean light: darker pixels do not make a picture brighter
-LEAST_HALF = 16  # samples a pixel of each half of a reference, at least
-HALF_ERROR = 0.02  # of each half, as Cycles' adaptive sampling counts it, at a mean brightness of 0.2
+LEAST_HALF_SHARE = 0.4  # of the samples of a half of a reference that each pixel gets, at least
+HALF_ERROR = 0.006  # of each half, as Cycles' adaptive sampling counts it, at a mean brightness of 0.2
 PATTERNS = ("AUTOMATIC", "TABULATED_SOBOL", "BLUE_NOISE")
 
 
@@ -72,7 +72,7 @@ def shoot(scene: bpy.types.Scene, path: Path, frame: int, size: tuple[int, int],
           error: float = 0.0) -> None:
     """Render one frame into an EXR file. With an ``error``, pixels whose noise is below it get fewer samples."""
     scene.cycles.use_adaptive_sampling = error > 0
-    scene.cycles.adaptive_threshold, scene.cycles.adaptive_min_samples = error, LEAST_HALF
+    scene.cycles.adaptive_threshold, scene.cycles.adaptive_min_samples = error, round(LEAST_HALF_SHARE * spp)
     scene.render.resolution_x, scene.render.resolution_y = size
     scene.render.resolution_percentage = 100
     scene.cycles.samples, scene.cycles.seed = spp, seed
