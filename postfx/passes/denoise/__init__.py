@@ -35,6 +35,7 @@ from postfx.passes.denoise.models import (
     name_models,
     predicts_error,
     reads_mirrored,
+    runs_classic,
     short_tag,
     unscaled_remarks,
     validate_tag,
@@ -188,9 +189,9 @@ class DenoiseUpscale(Pass):
         return self.strength > 0 and spec.has(Role.MOTION)
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        if self._tag == CLASSIC and self.strength and not device.runs_rows:
+        if self._tag == CLASSIC and self.strength and not runs_classic(device):
             raise DeviceError(f"model 'classic' has no kernels for this device, '{device.name}': give the device cpu "
-                              "with compiled kernels, or a network")
+                              "with compiled kernels, the device cuda, or a network")
         self._device, self._output = device, self.reflect(spec).output
         self._savings = Savings()
         if self.strength:
@@ -200,7 +201,7 @@ class DenoiseUpscale(Pass):
             self._ladder = Ladder(costs, self.budget, first) if self.budget else None
             if self.size:  # so that files of a frame are the same wherever a run begins
                 endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
-                tags = self._tags_for(spec, device.runs_rows)
+                tags = self._tags_for(spec, runs_classic(device))
                 name_models(device, (model_of(tag, ending, device) for tag in tags for ending in endings))
             reactive = self._mask.role(spec) is not None
             sizes = Sizes(spec.height, spec.width, *size)
@@ -236,10 +237,10 @@ class DenoiseUpscale(Pass):
         return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask,
                             self._parts, self._alpha, self._part_history, self._error)
 
-    def _tags_for(self, spec: FrameSpec, runs_rows: bool = True) -> tuple[str, ...]:
+    def _tags_for(self, spec: FrameSpec, has_classic: bool = True) -> tuple[str, ...]:
         """Tags to choose from for frames of a spec, fastest first; one without a budget."""
         smaller = family(self._tag)[:-1] if self.budget else ()
-        if self._parts or self._error or not runs_rows:  # it filters no parts, and has no other form
+        if self._parts or self._error or not has_classic:  # it filters no parts
             smaller = tuple(tag for tag in smaller if tag != CLASSIC)
         return (*(tag for tag in smaller if has_model(model_of(tag, self._ending(spec)))), self._tag)
 
@@ -248,7 +249,7 @@ class DenoiseUpscale(Pass):
 
     def _models(self, spec: FrameSpec) -> dict[str, str]:
         """The networks to choose from for frames of a spec, by their short tags."""
-        tags, ending = self._tags_for(spec, self._device.runs_rows), self._ending(spec)
+        tags, ending = self._tags_for(spec, runs_classic(self._device)), self._ending(spec)
         return {short_tag(tag): model_of(tag, ending, self._device, bool(self._parts)) for tag in tags}
 
     def _alpha_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
