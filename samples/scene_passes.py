@@ -3,9 +3,10 @@
 python samples/scene_passes.py [--threads 1] [--runs 5] [--size 1000x640] [--only scene_shading]
 
 Prints the milliseconds of each pass, and the processor's time of a call with its frames a second, which other programs
-change less; with --device cuda, the time of a whole call with its frames a second. Medians of runs in turn. The passes: occlusion by GTAO and by the network; scene_shading by a U-Net from
-planes alone and with history, and by a network of points, 33-64-64-64-3; irradiance by a network of 3-16-16-3. The last
-two have random weights, which take as long. With a size, pixels of the room are repeated.
+change less; with --device cuda, the time of a whole call with its frames a second. Medians of runs in turn. The passes:
+occlusion by GTAO and by the network; scene_shading by a U-Net from planes alone and with history, and by a network of
+points, 33-64-64-64-3; irradiance by a network of 3-16-16-3. The last two have random weights, which take as long. With
+a size, pixels of the room are repeated.
 """
 import argparse
 import json
