@@ -81,7 +81,7 @@ def main() -> None:
     parser.add_argument("--scale", type=int, default=2, choices=(1, 2), help="of postfx's output (default: 2)")
     parser.add_argument("--models", default="m.fp32,m,s", help="tags of networks, comma-separated")
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
-    parser.add_argument("--quality", default="high", help="of OIDN: high (default), balanced, fast; comma-separated, or ''")
+    parser.add_argument("--quality", default="high", help="of OIDN: high (default), balanced, fast, some, or ''")
     args = parser.parse_args()
     frame, device = noisy_frame(args.width, args.height), Device(args.device)
     chains = {}
