@@ -412,7 +412,8 @@ class DenoiseUpscale(Pass):
         if not alone or not frame.tensors.keys() == frame.host_planes.keys() or ready.reflections:
             self._memory.forget()
             return Alike.OTHER
-        planes: dict[Hashable, np.ndarray] = {Role.COLOUR: frame.host_planes[Role.COLOUR], **frame.host_planes}
+        planes: dict[Hashable, np.ndarray] = {Role.COLOUR: frame.host_planes[Role.COLOUR]}
+        planes |= {str(role): plane for role, plane in frame.host_planes.items()}
         planes |= {f"guide {role}": plane for role, plane in frame.host_guides.items()}
         facts = (frame.exposure_factor, frame.jitter, frame.guide_jitter, frame.spec, self._wider)
         return self._memory.look(facts, planes)
