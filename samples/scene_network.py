@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from sky import shown
+from sky import cleaned, shown
 
 import postfx
 from postfx import Device, Frame, Library, Role
@@ -99,13 +99,6 @@ def equivalent_samples(own: float, counts: np.ndarray, curve: np.ndarray) -> flo
         return float(counts[-1] * curve[-1] / own)
     falling = np.minimum.accumulate(curve)
     return float(np.exp(np.interp(-np.log(own), -np.log(falling), np.log(counts))))
-
-
-def cleaned(light: np.ndarray) -> np.ndarray:
-    """A reference (H, W, 3) without the rest of its noise."""
-    import pyoidn
-
-    return pyoidn.denoise(np.ascontiguousarray(light, np.float32), hdr=True, quality="high")
 
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
