@@ -7,9 +7,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "What it gains",
         "How it is mixed",
     ),
-    "docs/lab/denoising.md": (
-        "At 1x",
-    ),
     "docs/lab/tonemap.md": (
         "The looks",
         "How a frame is tone-mapped",
@@ -70,9 +67,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Alpha",
         "Light groups and passes of Cycles",
     ),
-    "docs/lab/speed.md": (
-        "A frame with 90 % masked",
-    ),
     "docs/measured/speed.md": (
         "On a GPU",
     ),
@@ -98,9 +92,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "The networks",
         "Unusual content",
         "Failure cases",
-    ),
-    "docs/lab/reliability.md": (
-        "Faults",
     ),
     "docs/lab/runtime.md": (
         "CUDA",
