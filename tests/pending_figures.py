@@ -21,9 +21,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Your own look",
         "Time",
     ),
-    "docs/howto/integration.md": (
-        "Typical mistakes",
-    ),
     "docs/lab/interpolation.md": (
         "Measured",
     ),
@@ -36,10 +33,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Clean input",
         "Time budget",
         "Reflections",
-        "Changing sizes",
-        "Run-up",
-        "Both ways",
-        "Precisions",
         "Training",
         "Detail finer than a pixel, at 1x",
         "The stem of s",
@@ -86,7 +79,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Planes that are missing",
         "Other scales",
         "As many light paths, spent both ways",
-        "Detail beyond the render size",
         "How many samples one is worth",
         "As samples rise",
         "The networks",
