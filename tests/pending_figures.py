@@ -25,19 +25,9 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Measured",
     ),
     "docs/lab/denoiser.md": (
-        "A trunk from the render size on",
-        "Trust in guides",
         "Doubt in planes",
-        "Volumes",
         "At 1x",
         "Clean input",
-        "Time budget",
-        "Reflections",
-        "Training",
-        "Detail finer than a pixel, at 1x",
-        "The stem of s",
-        "Channels that are never active",
-        "Time",
     ),
     "docs/lab/gpu.md": (
         "Estimate",
@@ -45,12 +35,8 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Networks as our own kernels",
         "Kernels around the networks",
     ),
-    "docs/lab/masks.md": (
-        "What leaving converged pixels costs",
-    ),
     "docs/lab/neural.md": (
         "Ambient occlusion",
-        "Materials",
         "Kernels on a GPU",
     ),
     "docs/lab/parts.md": (
@@ -64,7 +50,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "On a GPU",
     ),
     "docs/lab/networks.md": (
-        "Time beside PyTorch",
         "Ambient occlusion",
     ),
     "docs/lab/quality.md": (
