@@ -36,7 +36,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Kernels around the networks",
     ),
     "docs/lab/neural.md": (
-        "Ambient occlusion",
         "Kernels on a GPU",
     ),
     "docs/lab/parts.md": (
