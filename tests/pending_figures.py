@@ -8,18 +8,11 @@ PENDING: dict[str, tuple[str, ...]] = {
         "How it is mixed",
     ),
     "docs/lab/tonemap.md": (
-        "The looks",
-        "How a frame is tone-mapped",
-        "Following the light",
         "Measured",
         "Flicker",
-        "aces2",
-        "agx",
         "pbr_neutral",
         "local",
         "auto",
-        "Your own look",
-        "Time",
     ),
     "docs/lab/interpolation.md": (
         "Measured",
