@@ -10,7 +10,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     "docs/lab/tonemap.md": (
         "Measured",
         "Flicker",
-        "pbr_neutral",
         "local",
         "auto",
     ),
