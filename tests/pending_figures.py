@@ -31,8 +31,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Kernels on a GPU",
     ),
     "docs/lab/parts.md": (
-        "How the sum is kept",
-        "How alpha keeps thin hairs",
         "Light groups in a room",
         "Alpha",
         "Light groups and passes of Cycles",
@@ -45,7 +43,6 @@ PENDING: dict[str, tuple[str, ...]] = {
     ),
     "docs/lab/quality.md": (
         "Quality",
-        "Three sequences",
         "Against the best of the others",
         "Living room",
         "Staircase",
