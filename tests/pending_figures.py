@@ -42,7 +42,6 @@ PENDING: dict[str, tuple[str, ...]] = {
         "Ambient occlusion",
     ),
     "docs/lab/quality.md": (
-        "Quality",
         "Against the best of the others",
         "Living room",
         "Staircase",
