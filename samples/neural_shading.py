@@ -5,7 +5,7 @@ python samples/neural_shading.py [PICTURE] [--noisy PATTERN --reference PATTERN]
 The network, 33-64-64-64-3, reads position with four bands of Fourier features, normal and reflected view direction, and
 gives the logarithm of light without reflectance, which the albedos put back. It learns from the references of all
 frames but the held-out ones, at render size, by the fused kernels of postfx.neural, and shades the held-out ones in a
-command buffer. Also measured: their nearest learnt frame as it is. Prints PSNR after x/(1+x) and the sRGB curve, and
+command buffer. Also measured: the frame before as it is. Prints PSNR after x/(1+x) and the sRGB curve, and
 frames a second; draws the held-out frames. Needs matplotlib.
 """
 import argparse
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from sky import shown
+from sky import cleaned, shown
 
 import postfx
 from postfx import Device, Frame, Role
@@ -30,6 +30,7 @@ ROOM = Path(__file__).parent / "room"
 def light_of(reference: Frame, frame: Frame) -> np.ndarray:
     """The reference at the frame's size: mean over the pixels in each of its own."""
     (h, w), colour = frame[Role.DEPTH].shape[:2], reference[Role.COLOUR]
+    colour = cleaned(colour) if chosen.clean else colour
     by = len(colour) // h
     return colour.reshape(h, by, w, by, 3).mean((1, 3))
 
@@ -39,6 +40,7 @@ parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gette
 parser.add_argument("--noisy", default=str(ROOM / "noisy.####.exr"), help="whose planes are read")
 parser.add_argument("--reference", default=str(ROOM / "reference.####.exr"))
 parser.add_argument("--held-out", type=int, nargs="+", default=[3, 6], help="frames that are not learnt")
+parser.add_argument("--clean", action="store_true", help="denoise the reference by OIDN, by which both are judged")
 parser.add_argument("--steps", type=int, default=4000)
 parser.add_argument("--threads", type=int, default=1)
 chosen = parser.parse_args()
@@ -88,13 +90,15 @@ for frame in held:
         commands.wait()
         times.append(sum(taken for _, taken in commands.timings))
     found = np.expm1(np.clip(values.array.reshape(truth.shape), 0, 20)) * divisor_of(frame)
-    near = min(known, key=lambda other: abs(other.number - frame.number))
-    rows.append((psnr(found, truth), psnr(frame[Role.COLOUR], truth), psnr(wanted[near.number], truth)))
+    near = max((number for number in wanted if number < frame.number), default=known[0].number)
+    rows.append((psnr(found, truth), psnr(frame[Role.COLOUR], truth), psnr(wanted[near], truth)))
     pictures.append((f"frame {frame.number}: reference", truth))
     pictures.append((f"shaded, {rows[-1][0]:.1f} dB", found))
     print(f"frame {frame.number}: shaded {rows[-1][0]:.2f} dB, the noisy render {rows[-1][1]:.2f}, frame "
-          f"{near.number} as it is {rows[-1][2]:.2f}")
-print(f"mean {np.mean([row[0] for row in rows]):.2f} dB; {1000 / statistics.median(times):.0f} frames a second of "
+          f"{near} as it is {rows[-1][2]:.2f}")
+means = np.mean(rows, 0)
+print(f"mean {means[0]:.2f} dB, of the frames before as they are {means[2]:.2f}; "
+      f"{1000 / statistics.median(times):.0f} frames a second of "
       f"{held[0][Role.DEPTH].shape[1]}x{held[0][Role.DEPTH].shape[0]}, the network alone")
 
 figure = Figure((10, 3 * len(held)), layout="constrained")

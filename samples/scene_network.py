@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from sky import shown
+from sky import cleaned, shown
 
 import postfx
 from postfx import Device, Frame, Library, Role
@@ -25,8 +25,6 @@ from postfx.bench.metrics import Pictures, flicker
 from postfx.runtime import ArgumentTable
 
 ROOM = Path(__file__).parent / "room"
-STATE = 7
-"""Numbers of a pixel that temporal.onnx hands on."""
 WAYS = ("shading", "temporal", "temporal, no history", "amplifier")
 
 
@@ -37,13 +35,15 @@ class Shader:
         self._device, self._size, self.times = device, size, []
         self._network = device.pipeline_state(library, kind, dict(zip(("height", "width"), size, strict=True)))
         self._shaded = device.heap.tensor("shaded", (*size, 3))
-        self._states = [device.heap.tensor(name, (*size, STATE)) for name in ("before", "after")]
+        self._states = [device.heap.tensor(name, self._network.shapes[name]) for name in ("before", "after")
+                        if name in self._network.shapes]
         self._given, self._kind = {}, kind
         self.forget()
 
     def forget(self) -> None:
         """Begin without history."""
-        self._states[0].fill(0)
+        for state in self._states[:1]:
+            state.fill(0)
 
     @property
     def taken(self) -> float:
@@ -106,6 +106,7 @@ parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gette
 parser.add_argument("--models", type=Path, default=ROOM, help="folder of the networks, or of some of them")
 parser.add_argument("--noisy", default=str(ROOM / "noisy.####.exr"), help="whose planes are read")
 parser.add_argument("--reference", default=str(ROOM / "reference.####.exr"))
+parser.add_argument("--clean", action="store_true", help="denoise the reference by OIDN: its noise flickers, too")
 parser.add_argument("--views", type=Path, help="folder of held-out views, held.NNNN.npz")
 parser.add_argument("--device", default="cpu")
 parser.add_argument("--threads", type=int, default=1)
@@ -116,9 +117,10 @@ device = Device(chosen.device, threads=chosen.threads) if chosen.device == "cpu"
 library, pictures = Library(chosen.models), []
 frames = list(postfx.read_sequence(chosen.noisy))
 size = frames[0][Role.DEPTH].shape[:2]
-truths = [frame[Role.COLOUR].reshape(size[0], -1, size[1], frame[Role.COLOUR].shape[1] // size[1], 3).mean((1, 3))
-          for frame in postfx.read_sequence(chosen.reference)]
-print(f"{len(frames)} frames of {size[1]}x{size[0]}: {chosen.noisy}")
+lights = [frame[Role.COLOUR] for frame in postfx.read_sequence(chosen.reference)]
+lights = [cleaned(light) for light in lights] if chosen.clean else lights
+truths = [light.reshape(size[0], -1, size[1], light.shape[1] // size[1], 3).mean((1, 3)) for light in lights]
+print(f"{len(frames)} frames of {size[1]}x{size[0]}: {chosen.noisy}" + ", reference denoised" * chosen.clean)
 ways = [way for way in WAYS if way.split(",")[0] in library.names()]
 for way in [way for way in ways if way != "amplifier"]:
     shader, errors, flickers, before = Shader(device, library, way.split(",")[0], size), [], [], None

@@ -57,7 +57,7 @@ def parts_of(text: str) -> Iterator[Part]:
     for block in filter(None, re.split(r"(?m)^(?=#)", text)):
         title = block.partition("\n")[0].lstrip("# ") if block.startswith("#") else ""
         sources: tuple[str, ...] | None = None
-        is_given, copied, start = False, "", 0
+        is_given, copied, start = False, "", len(block.partition("\n")[0]) if title else 0  # headings claim nothing
         for mark in MARK.finditer(block):
             yield Part(title, sources, is_given, block[start:mark.start()], copied)
             sources, is_given = tuple(re.split(", *", mark[1])) if mark[1] else None, bool(mark[2])

@@ -248,13 +248,14 @@ def test_a_network_shades_frames_that_it_has_not_seen(tmp_path):
 
 @pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="postfx-render[bench] is not installed")
 def test_networks_of_the_room_shade_its_sequence(tmp_path):
-    """History makes them calmer, and nearer to the reference."""
-    told = run("scene_network.py", str(tmp_path / "a.png"), "--runs", "1")
+    """History makes them calmer by a quarter, and nearer to the reference, whose noise would hide it."""
+    pytest.importorskip("pyoidn")
+    told = run("scene_network.py", str(tmp_path / "a.png"), "--runs", "1", "--clean")
     rows = re.findall(r"(?m)^(.{22}) +([\d.]+) dB  relMSE ([\d.]+)  flicker +([\d.]+) +[\d.]+ ms a frame", told)
     dB, relative, flicker = ({name.strip(): float(values[k]) for name, *values in rows} for k in (0, 1, 2))
     assert max(relative.values()) < 0.03  # lamps have their light, and nothing is brighter
-    assert dB["shading"] > 30.9 and dB["temporal"] > dB["temporal, no history"] + 0.1
-    assert flicker["temporal"] < 0.96 * flicker["temporal, no history"]
+    assert dB["shading"] > 32.5 and dB["temporal"] > max(32.3, dB["temporal, no history"] + 0.5)
+    assert flicker["temporal"] < 0.75 * flicker["temporal, no history"]
     assert (tmp_path / "a.png").stat().st_size > 50000
 
 

@@ -36,8 +36,12 @@ BRIGHT = 4.0
 INPUTS = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "camera")
 KINDS = {"shading": (), "temporal": ("motion", "before"), "amplifier": ("colour",)}
 """What each network reads beyond INPUTS."""
-STATE = 7
-"""Numbers of a pixel that `temporal` hands to the next frame: light, place, and 1."""
+STATE = 10
+"""Numbers of a pixel that `temporal` hands to the next frame: light, place, 1, and codes of the picture."""
+KEPT = 0.6
+"""Share of the picture before in a picture: planes of one sample show one side of an edge, another in each frame."""
+WHITEST = 0.99999
+"""Code value that counts as the brightest, of a light of 4e4."""
 NEAR = 0.01
 """Distance of a place from the plane of the surface it is history of, in metres and in shares of the depth, at most."""
 
@@ -48,6 +52,13 @@ def to_codes(light: torch.Tensor) -> torch.Tensor:
     """Light as codes 0..1: x/(1+x) and the sRGB curve."""
     x = light.clamp(min=0.0) / (1 + light.clamp(min=0.0))
     return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp(min=1e-6) ** (1 / 2.4) - 0.055)
+
+
+def to_light(codes: torch.Tensor) -> torch.Tensor:
+    """Light of codes 0..1, at most that of `WHITEST`."""
+    bounded = codes.clamp(0.0, WHITEST)
+    x = torch.where(bounded <= 0.04045, bounded / 12.92, ((bounded + 0.055) / 1.055) ** 2.4)
+    return x / (1 - x)
 
 
 def rays(camera: torch.Tensor, height: int, width: int) -> torch.Tensor:
@@ -136,7 +147,7 @@ class SceneNetwork(nn.Module):
         return torch.cat(parts, 1), place
 
     def same_surface(self, before: torch.Tensor, place: torch.Tensor, x: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Where a warped state (N, 7, H, W) is of the surface at these places (N, 1, H, W)."""
+        """Where a warped state (N, STATE, H, W) is of the surface at these places (N, 1, H, W)."""
         shift = (before[:, 3:6] - place) * (self.high - self.low)[None, :, None, None] / 2
         off = (shift * x["normal"]).sum(1, keepdim=True).abs()
         return (before[:, 6:7] > 0.99) & (off < NEAR * (1 + x["depth"].clamp(max=1e3)))
@@ -171,24 +182,58 @@ class SceneNetwork(nn.Module):
         found = self.body(torch.cat([features, past / 3, same.float()], 1))
         share = torch.sigmoid(found[:, 3:]) * same
         light = torch.lerp(F.softplus(found[:, :3]), past, share)
-        return self.shaded(light, shine), torch.cat([light, place, torch.ones_like(share)], 1)
+        colour, codes = self.steadied(self.shaded(light, shine), x)
+        return colour, torch.cat([light, place, torch.ones_like(share), codes], 1)
+
+    def steadied(self, colour: torch.Tensor, x: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+        """A picture (N, 3, H, W) averaged with the one before, and its codes.
+
+        The one before is moved as the nearest of each pixel's neighbours does, and held within what
+        they show now (Karis 2014, Salvi 2016). Not while the network learns: a frame is to be right
+        by itself.
+        """
+        codes = to_codes(colour)
+        if self.training:
+            return colour, codes
+        motion = nearest_motion(x["motion"], x["depth"])
+        known = warp(x["before"][:, 6:7], motion) > 0.99
+        around = F.pad(codes, (1, 1, 1, 1), "replicate")
+        mean = F.avg_pool2d(around, 3, 1)
+        spread = (F.avg_pool2d(around * around, 3, 1) - mean * mean).clamp(min=0.0).sqrt()
+        low = torch.maximum(mean - spread, -F.max_pool2d(-around, 3, 1))
+        high = torch.minimum(mean + spread, F.max_pool2d(around, 3, 1))
+        before = warp(x["before"][:, 7:10], motion, "bicubic").clamp(low, high)
+        mixed = torch.where(known, torch.lerp(codes, before, KEPT), codes)
+        return torch.where(known, to_light(mixed), colour), mixed
 
     def shaded(self, light: torch.Tensor, shine: torch.Tensor) -> torch.Tensor:
         """Colour of logarithms of light, at most as bright as what the network learnt from."""
         return torch.minimum(shine * torch.expm1(light.clamp(max=12.0)), self.most)
 
 
-def warp(image: torch.Tensor, motion: torch.Tensor) -> torch.Tensor:
-    """`image` (N, C, H, W) where `motion` (N, 2, H, W) in pixels points to; bilinear, 0 outside."""
+def nearest_motion(motion: torch.Tensor, depth: torch.Tensor) -> torch.Tensor:
+    """Motion (N, 2, H, W) of the nearest of each pixel's 3x3 neighbours by depth (N, 1, H, W)."""
+    height, width = depth.shape[2:]
+    depths, motions = (F.pad(plane, (1, 1, 1, 1), "replicate") for plane in (depth, motion))
+    for down in range(3):
+        for right in range(3):
+            other = depths[:, :, down:down + height, right:right + width]
+            motion = torch.where(other < depth, motions[:, :, down:down + height, right:right + width], motion)
+            depth = torch.minimum(depth, other)
+    return motion
+
+
+def warp(image: torch.Tensor, motion: torch.Tensor, mode: str = "bilinear") -> torch.Tensor:
+    """`image` (N, C, H, W) where `motion` (N, 2, H, W) in pixels points to; 0 outside."""
     _, _, height, width = image.shape
     x = torch.arange(width, device=image.device, dtype=torch.float32)[None, None, :] + motion[:, 0]
     y = torch.arange(height, device=image.device, dtype=torch.float32)[None, :, None] + motion[:, 1]
     grid = torch.stack([(2 * x + 1) / width - 1, (2 * y + 1) / height - 1], -1)
-    return F.grid_sample(image, grid, "bilinear", "zeros", align_corners=False)
+    return F.grid_sample(image, grid, mode, "zeros", align_corners=False)
 
 
 class Exported(nn.Module):
-    """A network as it is run: planes (H, W, C) -> colour (H, W, 3), and for `temporal` the next state (H, W, 7)."""
+    """A network as it is run: planes (H, W, C) -> colour (H, W, 3), and for `temporal` the next state (H, W, STATE)."""
 
     def __init__(self, network: SceneNetwork) -> None:
         super().__init__()

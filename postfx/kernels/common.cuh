@@ -78,6 +78,15 @@ __device__ inline Colour demodulation(const View& diffuse, const View& specular,
             emits ? 1.0f : fmaxf(b, floor) + ADDED};
 }
 
+// A pixel's light without its reflectance `by`; one that is too bright keeps its hue.
+__device__ inline Colour light_without(const float* rgb, const Colour& by, float exposure) {
+    const float r = fminf(clamped(rgb[0], 0.0f, MAX_FLOAT) * exposure / by.r, MAX_LIGHT);
+    const float g = fminf(clamped(rgb[1], 0.0f, MAX_FLOAT) * exposure / by.g, MAX_LIGHT);
+    const float b = fminf(clamped(rgb[2], 0.0f, MAX_FLOAT) * exposure / by.b, MAX_LIGHT);
+    const float held = MAX_COLOUR / fmaxf(fmaxf(r, g), fmaxf(b, MAX_COLOUR));
+    return {r * held, g * held, b * held};
+}
+
 // Two or four neighbouring floats, read or written in one transfer.
 struct alignas(8) Pair {
     float x, y;
@@ -94,6 +103,54 @@ __device__ inline Pair& pair(const View& view, size_t index) {
 
 __device__ inline Four& four(const View& view, size_t index) {
     return reinterpret_cast<Four*>(view.at)[index];
+}
+
+// The frame before's state at a pixel, zero where it is not `valid`, and the depth of the nearest pixel.
+struct Recalled {
+    Four mean, first, second;  // colour and count, then the hidden channels
+    float depth, valid;
+};
+
+// Bilinear between four numbers.
+__device__ inline float between(float a, float b, float c, float d, float tx, float ty) {
+    const float top = a + (b - a) * tx, bottom = c + (d - c) * tx;
+    return top + (bottom - top) * ty;
+}
+
+// Four channels of the state, bilinear between the pixels at four indices of such groups.
+__device__ inline Four recalled_four(const View& state, size_t a, size_t b, size_t c, size_t d, float tx, float ty) {
+    const Four p = four(state, a), q = four(state, b), r = four(state, c), s = four(state, d);
+    return {between(p.x, q.x, r.x, s.x, tx, ty), between(p.y, q.y, r.y, s.y, tx, ty),
+            between(p.z, q.z, r.z, s.z, tx, ty), between(p.w, q.w, r.w, s.w, tx, ty)};
+}
+
+__device__ inline Four scaled(const Four& value, float by) {
+    return {value.x * by, value.y * by, value.z * by, value.w * by};
+}
+
+// Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their weights.
+__device__ inline bool is_unknown(float a, float b, float c, float d, float tx, float ty) {
+    const float lacking = between(a <= 0.0f, b <= 0.0f, c <= 0.0f, d <= 0.0f, tx, ty);
+    return lacking > UNKNOWN;
+}
+
+__device__ inline Recalled recall(const View& state, const View& last_depth, float px, float py, float share) {
+    const int h = last_depth.size[0], w = last_depth.size[1];
+    const bool held = px >= -0.5f && px <= float(w) - 0.5f && py >= -0.5f && py <= float(h) - 0.5f;
+    if (!held || share == 0.0f) return {{}, {}, {}, 1.0f, 0.0f};
+    const float depth = last_depth.at[within(int(rintf(py)), h) * w + within(int(rintf(px)), w)];
+    px = fminf(fmaxf(px, 0.0f), float(w - 1));
+    py = fminf(fmaxf(py, 0.0f), float(h - 1));
+    const int x0 = int(px), y0 = int(py), x1 = min(x0 + 1, w - 1), y1 = min(y0 + 1, h - 1);
+    const float tx = px - float(x0), ty = py - float(y0);
+    const size_t upper = size_t(y0) * w, lower = size_t(y1) * w;
+    const size_t a = 3 * (upper + x0), b = 3 * (upper + x1), c = 3 * (lower + x0), d = 3 * (lower + x1);
+    if (is_unknown(four(state, a).w, four(state, b).w, four(state, c).w, four(state, d).w, tx, ty))
+        return {{0.0f, 0.0f, 0.0f, -1.0f}, {}, {}, 1.0f, 0.0f};
+    Four mean = recalled_four(state, a, b, c, d, tx, ty);
+    mean.w *= share;  // the mean colour is what it is, but counts less
+    return {mean, scaled(recalled_four(state, a + 1, b + 1, c + 1, d + 1, tx, ty), share),
+            scaled(recalled_four(state, a + 2, b + 2, c + 2, d + 2, tx, ty), share), depth, share};
 }
 
 // Eight neighbouring numbers in half precision, as their bits, read or written in one transfer.

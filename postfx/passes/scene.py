@@ -318,8 +318,6 @@ PLANES = {"diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1
 """Planes that a network of a scene may read, with their channels."""
 POINT_PLANES = ("depth", "normal", "diffuse_albedo", "specular_albedo", "colour")
 """Planes that are read around a network of points."""
-STATE = 7
-"""Numbers of a pixel that a network with history hands on."""
 FACTS = 16
 """Numbers of its camera: place and axes (4 x 3), tangents of half the field of view, jitter."""
 
@@ -383,8 +381,9 @@ class SceneShading(_Linear):
         self._network = ArgumentTable(network, {"camera": self._camera, "shaded": self._shaded})
         self._states = []
         if "before" in self._inputs:
-            self._states = [device.heap.tensor(word, (*size, STATE)) for word in ("before", "after")]
-            self._nothing = device.heap.tensor("no history", (*size, STATE))
+            state = network.shapes["before"]
+            self._states = [device.heap.tensor(word, state) for word in ("before", "after")]
+            self._nothing = device.heap.tensor("no history", state)
             self._nothing.fill(0)
         super().compile(device, spec)
 

@@ -53,7 +53,7 @@ KERNELS = (
     MIX_PARTNER, ENLARGE_MOTION,
 )
 IN_ROWS_ALONE = (CLASSIC_GATHER, ATROUS, RESOLVE)
-"""Kernels that have no other form."""
+"""Kernels without a portable definition."""
 MOST_CODE = 255
 BAD = (np.nan, np.inf, -np.inf, -3.0, 3e38)
 FRAME = ("colour", "part", "diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "motion", "last_depth",

@@ -15,14 +15,14 @@ from postfx.passes.denoise.planes import NEAR
 from postfx.runtime import Device
 from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda, tonemap_cases
-from tests.kernels.denoise_cases import KERNELS, arguments, element_type, in_frame, run, runs_of, shape
+from tests.kernels.denoise_cases import IN_ROWS_ALONE, KERNELS, arguments, element_type, in_frame, run, runs_of, shape
 from tests.kernels.test_denoise_kernels import assert_same
 
 pytestmark = pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
 
 ON_GPU = [POOLS, FILTER_MIXED, FILTER_SHADED, NEAR, *IN_HALF.values()]
 """Kernels that run on a GPU alone."""
-WRITTEN = [*(kernel for kernel in KERNELS if find_source(kernel)), *ON_GPU]
+WRITTEN = [*(kernel for kernel in (*KERNELS, *IN_ROWS_ALONE) if find_source(kernel)), *ON_GPU]
 
 
 @pytest.fixture(scope="module")

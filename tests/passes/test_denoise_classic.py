@@ -17,6 +17,7 @@ from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.models import CLASSIC
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
+from postfx.runtime.device import cuda_fault
 from tests.passes.denoise_frames import flat, noisy
 
 ROOM = Path(__file__).parents[2] / "samples" / "room"
@@ -71,6 +72,24 @@ def test_a_window_is_as_the_whole_frame() -> None:
     whole = run(frames)[-1][164:176, 204:236]
     found = run([with_strength(frame, mask) for frame in frames])[-1][164:176, 204:236]
     np.testing.assert_allclose(shown(found), shown(whole), atol=2e-3)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(cuda_fault(0) is not None, reason="needs a GPU")
+def test_a_gpu_gives_the_same() -> None:
+    """With a history, broken pixels and another size; a network goes on from what it leaves, within a budget."""
+    frames = [noisy(number) for number in (1, 2, 3)]
+    frames[0].planes[Role.COLOUR][5, 7] = np.nan
+    frames[1].planes[Role.DEPTH][20, 9] = np.inf
+    for scale in (1, 1.5, 2):
+        for found, wanted in zip(run(frames, Device("cuda"), scale=scale), run(frames, scale=scale), strict=True):
+            np.testing.assert_allclose(shown(found), shown(wanted), atol=1e-3)
+    upscaler = DenoiseUpscale(budget=0.01)
+    chain = Pipeline([upscaler], Device("cuda"), exposure=0.0)
+    for number in range(1, 5):
+        found = chain(flat(number, 0.7))[Role.COLOUR]
+    assert upscaler.choice() == CLASSIC
+    np.testing.assert_allclose(found, 0.7, rtol=1e-2)
 
 
 def test_tiles_within_a_memory_budget_are_as_the_whole_frame() -> None:

@@ -76,6 +76,41 @@ def test_a_single_lit_pixel_or_alpha_alone_is_no_empty_frame(device: Device) -> 
     assert ALL_BLACK not in run(device, covered, model="s")[1]
 
 
+SAME = "all is as in the frame before"
+OTHER = 30.0
+"""Light of a pixel, brighter than all others."""
+
+
+@pytest.mark.parametrize(("scale", "roles"), [(1, ROLES), (2, ROLES), (2, ROLES[:3])])
+def test_frames_that_are_the_one_before_are_not_denoised_again(
+    device: Device, scale: int, roles: tuple[Role, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The third alike one is the first that is known to be the same. What follows goes on as if it had run."""
+    monkeypatch.setattr("postfx.passes.denoise.RepeatDetector.__call__",
+                        lambda _, planes: bool(planes[Role.COLOUR][40, 40, 0] < OTHER))
+
+    def shot() -> list[Frame]:
+        made = [make_frame(FrameSpec(64, 48, roles), 1) for _ in range(6)]
+        made[5].planes[Role.COLOUR][40, 40] = OTHER  # has a history, if there is motion
+        for number, frame in enumerate(made, 1):
+            frame.number = number
+        return made
+
+    skipped, why = run(device, shot(), model="s", scale=scale)
+    monkeypatch.setattr("postfx.repeats.FrameMemory._is_same", lambda *_: False)
+    whole, none = run(device, shot(), model="s", scale=scale)
+    assert why[SAME] == "network for 3 frames" and SAME not in none
+    for one, other in zip(skipped, whole, strict=True):
+        np.testing.assert_array_equal(one[Role.COLOUR], other[Role.COLOUR])
+    assert (whole[5][Role.COLOUR] != whole[4][Role.COLOUR]).any()
+
+
+def test_what_goes_on_from_a_history_is_never_the_same(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("postfx.passes.denoise.RepeatDetector.__call__", lambda *_: False)
+    clean = [make_frame(FrameSpec(64, 48, ROLES), 1) for _ in range(4)]
+    assert SAME not in run(device, clean, model="s")[1]
+
+
 def still(alpha: bool, lit: int = LIT, roles: tuple[Role, ...] = ROLES[:3] + ROLES[4:]) -> Frame:
     """A frame without motion, lit in its last rows and first columns only."""
     made = make_frame(FrameSpec(WIDE, HIGH, (*roles, Role.ALPHA) if alpha else roles))

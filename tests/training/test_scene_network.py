@@ -17,6 +17,7 @@ from tests.training.llvm import require_mitsuba
 torch = pytest.importorskip("torch")
 require_mitsuba()
 
+from training import scene_network  # noqa: E402
 from training.datagen import make_sample  # noqa: E402
 from training.scene_network import (  # noqa: E402
     STATE,
@@ -25,7 +26,9 @@ from training.scene_network import (  # noqa: E402
     begun_with,
     codes_of,
     main,
+    nearest_motion,
     to_codes,
+    to_light,
     warp,
 )
 
@@ -99,6 +102,32 @@ def test_history_is_of_no_use_where_there_is_none(views: Views) -> None:
         frame["before"][:, :3] += 1
         brighter = temporal(frame, frame["ray"])[0]
     assert (brighter >= alone - 1e-6).all() and (brighter > alone).float().mean() > 0.9
+
+
+def test_pictures_are_averaged_within_what_their_neighbours_show(views: Views) -> None:
+    """Not without a history, nor while it learns. Codes and light are the other way round of each other."""
+    network, kept = SceneNetwork("temporal", *views.box()).eval(), scene_network.KEPT
+    light = torch.tensor([0.0, 1e-3, 0.3, 2.0, 60.0])
+    torch.testing.assert_close(to_light(to_codes(light)), light, rtol=2e-3, atol=1e-6)
+    stripes = (torch.arange(12) // 2 % 2 * 0.8 + 0.1).expand(1, 3, 9, 12)
+    planes = {"motion": torch.zeros(1, 2, 9, 12), "depth": torch.ones(1, 1, 9, 12),
+              "before": torch.zeros(1, STATE, 9, 12)}
+    assert network.steadied(stripes, planes)[0] is not stripes
+    torch.testing.assert_close(network.steadied(stripes, planes)[0], stripes)
+    planes["before"][:, 6], planes["before"][:, 7:] = 1, 0.5
+    codes, mixed = to_codes(stripes), network.steadied(stripes, planes)[1]
+    inner = (..., slice(1, -1), slice(1, -1))
+    torch.testing.assert_close(mixed[inner], (codes + (0.5 - codes) * kept)[inner])
+    planes["before"][:, 7:] = 5.0
+    assert (network.steadied(stripes, planes)[1] <= codes.max() + 1e-6).all()
+    torch.testing.assert_close(network.train().steadied(stripes, planes)[0], stripes)
+
+
+def test_the_nearest_neighbour_s_motion_counts() -> None:
+    motion, depth = torch.zeros(1, 2, 5, 5), torch.full((1, 1, 5, 5), 9.0)
+    motion[0, :, 2, 2], depth[0, 0, 2, 2] = torch.tensor([3.0, -1.0]), 1.0
+    found = nearest_motion(motion, depth)
+    assert (found[0, 0] == 3).sum() == 9 and (found[0, 1, 1:4, 1:4] == -1).all()
 
 
 @pytest.mark.parametrize("kind", ["shading", "amplifier"])

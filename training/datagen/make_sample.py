@@ -1,6 +1,6 @@
 """Render the room of samples/room: its sequence with references, or views from all over it for networks of one scene.
 
-python -m training.datagen.make_sample frames OUT_FOLDER [--reference 1-8 [--reference-spp 192]] [--spp 4]
+python -m training.datagen.make_sample frames OUT_FOLDER [--reference 1-8 [--reference-spp 192]] [--spp 4] [--orbit 2]
 python -m training.datagen.make_sample views OUT_FOLDER [--views 1500] [--held-out 8] [--part 0/4]
     both [--variant llvm_ad_rgb | cuda_ad_rgb] [--width 320] [--height 180]
 
@@ -33,6 +33,7 @@ from training.datagen.variant import use_variant
 
 if TYPE_CHECKING:
     from training.datagen.scenes.build import BuiltScene
+    from training.datagen.scenes.motion import Camera
     from training.datagen.tracing import Tracer
 
 PACKED = "dwab:80"  # lossy, 47 dB PSNR: an error far below the noise; zip takes 2.7 times as much space
@@ -51,6 +52,9 @@ def main(argv: list[str] | None = None) -> None:
     frames.add_argument("--frames", type=int, default=8)
     frames.add_argument("--reference", type=FrameSet, default=(), metavar="FRAMES", help="such as 1-8 or 1,7,8")
     frames.add_argument("--reference-spp", type=int, default=192)
+    frames.add_argument("--times", type=int, default=2, help="size of the references over that of the frames")
+    frames.add_argument("--orbit", type=float, default=0.0, help="degrees a frame around the table; nothing else moves")
+    frames.add_argument("--first", type=float, default=-40.0, help="angle of the orbit's first frame")
     views = commands.add_parser("views", help="views from all over the room")
     views.add_argument("--views", type=int, default=1500, help="to learn from")
     views.add_argument("--spp", type=int, default=48, help="samples a pixel of their references")
@@ -77,27 +81,34 @@ def make_frames(args: argparse.Namespace) -> None:
     from training.datagen.clip import Style, filter_table, noisy_frame, radical_inverse
     from training.datagen.clip_file import CHANNELS, exposure_of, frame_header, write_exr
     from training.datagen.scenes.build import BuiltScene
-    from training.datagen.scenes.room import sample_camera, sample_room
+    from training.datagen.scenes.room import orbiting_camera, sample_camera, sample_room
     from training.datagen.tracing import Tracer
+
+    def camera_at(t: int) -> Camera:
+        return orbiting_camera(args.first + t * args.orbit) if args.orbit else sample_camera(t)
+
+    def moments(t: int) -> tuple[int, int]:
+        return (0, 0) if args.orbit else (t, t - 1)
 
     tracer, built, rng = Tracer(), BuiltScene(sample_room()), np.random.default_rng(1)
     halton = [[radical_inverse(t + 1, 2), radical_inverse(t + 1, 3)] for t in range(args.frames)]
     style = Style("realtime", args.spp, np.array(halton, np.float32) - 0.5)
     size, frames = (args.width, args.height), []
     for t in range(args.frames):
-        built.move(t, t - 1)
-        frames.append(noisy_frame(tracer, built, (sample_camera(t), sample_camera(t - 1)), size, style, t, 1.0, rng))
+        built.move(*moments(t))
+        frames.append(noisy_frame(tracer, built, (camera_at(t), camera_at(t - 1)), size, style, t, 1.0, rng))
     exposure = exposure_of(np.stack([frame["colour"] for frame in frames]))
     for t, frame in enumerate(frames):
-        camera = sample_camera(t)
+        camera = camera_at(t)
         header = frame_header(camera.to_world, camera.fov, style.jitter[t], args.spp, exposure, t == 0)
         write_exr(args.out / f"noisy.{t + 1:04d}.exr", {name: frame[name] for name in CHANNELS}, header)
-    double, table, half = (2 * args.width, 2 * args.height), filter_table("box"), (args.reference_spp + 1) // 2
+    large = args.times * args.width, args.times * args.height
+    table, half = filter_table("box"), (args.reference_spp + 1) // 2
     facts = {"postfx:exposure": exposure, "postfx:spp": 2 * half, "compression": PACKED}
     for t in (number - 1 for number in args.reference):
-        built.move(t, t - 1)
+        built.move(*moments(t))
         halves = of_halves(
-            lambda k, t=t: tracer.reference(built.scene, sample_camera(t), double, table, half, 2 * t + k), exposure)
+            lambda k, t=t: tracer.reference(built.scene, camera_at(t), large, table, half, 2 * t + k), exposure)
         write_exr(args.out / f"reference.{t + 1:04d}.exr", {"colour": (halves[0] + halves[1]) / 2}, facts)
 
 

@@ -16,6 +16,7 @@ import os
 import platform
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -92,13 +93,16 @@ def run(command: list[str]) -> str:
 
 
 def machine() -> str:
-    """Cores and processor."""
+    """Cores, processor, and the GPU if there is one."""
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():
         name = next((line.partition(": ")[2] for line in info.read_text().splitlines()
                      if line.startswith("model name")), name)
-    return f"{os.cpu_count()} cores of {name.strip()}"
+    tool = shutil.which("nvidia-smi")
+    gpus = subprocess.run([tool, "--query-gpu=name", "--format=csv,noheader"], capture_output=True,
+                          text=True).stdout.split("\n") if tool else []
+    return ", ".join(filter(None, [f"{os.cpu_count()} cores of {name.strip()}", *gpus]))
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -107,10 +111,11 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--tolerance", type=float, default=0.0, help="share of a number that runs may differ by")
     parser.add_argument("--repeat", action="store_true", help="short enough to be run again by the tests")
     parser.add_argument("--note", help="what else one should know, such as where the data are from")
+    parser.add_argument("--commit", help="where there is no repository: that of the files here")
     parser.add_argument("command", nargs="+")
     given = parser.parse_args(argv)
-    commit = subprocess.run(["git", "rev-parse", "--short=10", "HEAD"], cwd=ROOT, capture_output=True, text=True,
-                            check=True).stdout.strip()
+    commit = given.commit or subprocess.run(["git", "rev-parse", "--short=10", "HEAD"], cwd=ROOT,
+                                            capture_output=True, text=True, check=True).stdout.strip()
     output = run(given.command).replace(f"{ROOT}/", "")
     facts = {"command": shlex.join(given.command), "commit": commit, "date": f"{datetime.date.today()}",
              "machine": machine(), "tolerance": f"{given.tolerance:g}", "repeat": "yes" if given.repeat else "no"}

@@ -310,6 +310,7 @@ def main() -> None:
     parser.add_argument("--side", type=int, default=640)
     parser.add_argument("--following", action="store_true", help="only print how fast looks follow light that changes")
     parser.add_argument("--report", action="store_true", help="write docs/lab/tonemap.md and its pictures")
+    parser.add_argument("--print", action="store_true", help="print the tables, too")
     parser.add_argument("--doc", type=Path, default=REPOSITORY / "docs/lab/tonemap.md")
     parser.add_argument("--images", type=Path, default=REPOSITORY / "docs/images/tonemap")
     args = parser.parse_args()
@@ -332,6 +333,9 @@ def main() -> None:
         args.output.write_text(json.dumps(found, indent=2) + "\n")
     if args.report:
         write_report(args.doc, found)
+    if args.print:
+        print("\n".join([looks_table(found), checks_table(found), flicker_table(found),
+                         *(pictures_table(found, look) for look in found)]))
 
 
 if __name__ == "__main__":

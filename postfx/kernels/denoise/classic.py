@@ -13,10 +13,22 @@ frame, and a network's from this.
   output's pixel. A blend with the last output takes half as much time again for -0.7 to 0.3 dB, in fog 0.9.
 """
 
+import numpy as np
+
 from postfx.kernels.denoise import REFLECTANCE, kernel
 
 STEPS = (1, 2, 4, 8, 16)
 """Distances of the taps, pass by pass."""
+LEAST_SHARE = np.float32(0.2)
+"""Share of a frame in the accumulated colour, at least."""
+STEP = np.float32(0.1)
+"""Relative change of depth from which on it is something else."""
+FLAT = np.float32(0.02)
+"""Relative depth that makes an edge, on a surface that faces the camera."""
+SLANT = np.float32(0.3)
+"""Share of the depth's own slope that makes one."""
+LUMINANCE = np.float32(4)
+"""Standard deviations of luminance that make one."""
 _LIGHT, _SURFACE = (4, "th", "tw"), (6, "th", "tw")
 GATHER = kernel("classic_gather", ("colour", *REFLECTANCE, "normal", "depth", "moved", "state", "last_depth",
                                    "params", "window", "keep"),

@@ -194,7 +194,7 @@ __device__ inline void accumulate(View colour, View diffuse_albedo, View specula
     const size_t source = size_t(part.top + y) * colour.size[1] + part.left + x;
     const float* rgb = colour.at + 3 * source;
     const Number* head = numbers<Number>(fine) + here;
-    const float exposure = params.at[EXPOSURE], red = rgb[0], green = rgb[1], blue = rgb[2], z = depth.at[source];
+    const float exposure = params.at[EXPOSURE], z = depth.at[source];
     const float distrust = as_float(head[DISTRUST * plane]), importance = as_float(head[IMPORTANCE * plane]);
     const Four before = four(past, pixel);
     const Four hidden[2] = {hidden_four(head + MEMORY * plane, plane), hidden_four(head + (MEMORY + 4) * plane, plane)};
@@ -203,11 +203,8 @@ __device__ inline void accumulate(View colour, View diffuse_albedo, View specula
         by = doubted(by, means, part.top + y, part.left + x, colour.size[0], colour.size[1], part,
                      as_float(head[PLANE_TRUST * plane]));
     const float share = 1.0f / (fmaxf(before.w, 0.0f) + 1.0f), alpha = share + (1.0f - share) * distrust;
-    const float light_r = fminf(clamped(red, 0.0f, MAX_FLOAT) * exposure / by.r, MAX_LIGHT);
-    const float light_g = fminf(clamped(green, 0.0f, MAX_FLOAT) * exposure / by.g, MAX_LIGHT);
-    const float light_b = fminf(clamped(blue, 0.0f, MAX_FLOAT) * exposure / by.b, MAX_LIGHT);
-    const float held = MAX_COLOUR / fmaxf(fmaxf(light_r, light_g), fmaxf(light_b, MAX_COLOUR));  // the sun keeps its hue
-    const float r = light_r * held, g = light_g * held, b = light_b * held;
+    const Colour light = light_without(rgb, by, exposure);
+    const float r = light.r, g = light.g, b = light.b;
     const Four mean = {before.x + (r - before.x) * alpha, before.y + (g - before.y) * alpha,
                        before.z + (b - before.z) * alpha, fminf(1.0f / alpha, MAX_COUNT)};
     // What is broken is this frame's colour alone, and nothing that the next one knows.

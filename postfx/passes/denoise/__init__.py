@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -35,6 +35,7 @@ from postfx.passes.denoise.models import (
     name_models,
     predicts_error,
     reads_mirrored,
+    runs_classic,
     short_tag,
     unscaled_remarks,
     validate_tag,
@@ -43,7 +44,7 @@ from postfx.passes.denoise.options import Size, output_size, parse_reactive, val
 from postfx.passes.denoise.parts import checked_parts, has_noisy_alpha
 from postfx.passes.denoise.planes import ABSENT, MIRRORED, passthrough_roles
 from postfx.passes.denoise.tiling import Sizes, active_cells, whole_tiles
-from postfx.repeats import ONE_SEED, RepeatDetector
+from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
 PLANES = tuple(ABSENT)
@@ -134,6 +135,7 @@ class DenoiseUpscale(Pass):
         self._own = [part.name for part in self._parts if part.is_light and part_filters == PART_FILTERS[1]]
         self._used: str | None = None
         self._cameras, self._repeats = Cameras(), RepeatDetector()
+        self._memory = FrameMemory()
         self._notice: str | None = None
         self._has_told = self._has_told_of_alpha = False
         own = Library(os.path.expanduser(library)) if isinstance(library, str | Path) else library
@@ -188,11 +190,13 @@ class DenoiseUpscale(Pass):
         return self.strength > 0 and spec.has(Role.MOTION)
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        if self._tag == CLASSIC and self.strength and not device.runs_rows:
+        if self._tag == CLASSIC and self.strength and not runs_classic(device):
             raise DeviceError(f"model 'classic' has no kernels for this device, '{device.name}': give the device cpu "
-                              "with compiled kernels, or a network")
+                              "with compiled kernels, the device cuda, or a network")
         self._device, self._output = device, self.reflect(spec).output
         self._savings = Savings()
+        self._memory.forget()
+        self._result: Tensor | None = None
         if self.strength:
             models, size = self._models(spec), self._output_size(spec)
             self._tags, costs = tuple(models), list(map(cost, models.values()))
@@ -200,7 +204,7 @@ class DenoiseUpscale(Pass):
             self._ladder = Ladder(costs, self.budget, first) if self.budget else None
             if self.size:  # so that files of a frame are the same wherever a run begins
                 endings = ("", UNSCALED, GUIDED)[:2 if spec.guides is None else 3]
-                tags = self._tags_for(spec, device.runs_rows)
+                tags = self._tags_for(spec, runs_classic(device))
                 name_models(device, (model_of(tag, ending, device) for tag in tags for ending in endings))
             reactive = self._mask.role(spec) is not None
             sizes = Sizes(spec.height, spec.width, *size)
@@ -236,10 +240,10 @@ class DenoiseUpscale(Pass):
         return ReadyNetwork(self._device, spec, size, models, self._history, guided, self.strength, self._mask,
                             self._parts, self._alpha, self._part_history, self._error)
 
-    def _tags_for(self, spec: FrameSpec, runs_rows: bool = True) -> tuple[str, ...]:
+    def _tags_for(self, spec: FrameSpec, has_classic: bool = True) -> tuple[str, ...]:
         """Tags to choose from for frames of a spec, fastest first; one without a budget."""
         smaller = family(self._tag)[:-1] if self.budget else ()
-        if self._parts or self._error or not runs_rows:  # it filters no parts, and has no other form
+        if self._parts or self._error or not has_classic:  # it filters no parts
             smaller = tuple(tag for tag in smaller if tag != CLASSIC)
         return (*(tag for tag in smaller if has_model(model_of(tag, self._ending(spec)))), self._tag)
 
@@ -248,7 +252,7 @@ class DenoiseUpscale(Pass):
 
     def _models(self, spec: FrameSpec) -> dict[str, str]:
         """The networks to choose from for frames of a spec, by their short tags."""
-        tags, ending = self._tags_for(spec, self._device.runs_rows), self._ending(spec)
+        tags, ending = self._tags_for(spec, runs_classic(self._device)), self._ending(spec)
         return {short_tag(tag): model_of(tag, ending, self._device, bool(self._parts)) for tag in tags}
 
     def _alpha_models(self, spec: FrameSpec, models: Mapping[str, str]) -> dict[str, str]:
@@ -284,6 +288,7 @@ class DenoiseUpscale(Pass):
         self._exposure = 1.0
         self._cameras.reset()
         self._repeats.reset()
+        self._memory.forget()
 
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._fresh):
@@ -295,6 +300,7 @@ class DenoiseUpscale(Pass):
 
     def recall(self, history: Mapping[str, np.ndarray]) -> None:
         self._fresh = bool(history)
+        self._memory.forget()
         if self._fresh:
             self._exposure, self._wider = float(history["exposure"]), bool(history.get(WIDER, False))
             if not isinstance(self._ready, ReadyNetwork):
@@ -345,6 +351,11 @@ class DenoiseUpscale(Pass):
             savings.begin_empty()
             self._fresh = False
             return ready.encode_empty(frame)
+        alike = self._likeness(frame, ready, keep)
+        if alike is Alike.SAME and self._fresh and self._result:
+            savings.begin_same()
+            savings.note_repeats(repeats)
+            return self._result
         active = ready.lit_cells(frame) if cells is None else cells
         band = None if active is None else ready.frames.layout(active)
         if band and cells is None:
@@ -389,7 +400,30 @@ class DenoiseUpscale(Pass):
             colour = ready.strength.encode(commands, frame, colour, rows, savings.note_unblended)
         if filtered:
             filtered.finish(commands, frame, denoised, colour, ready.restore, ready.strength, rows)
-        return ready.wider.narrow(commands, frame, colour) if self._wider else colour
+        colour = ready.wider.narrow(commands, frame, colour) if self._wider else colour
+        if alike is not Alike.OTHER:
+            self._keep_result(commands, colour)
+        return colour
+
+    def _likeness(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool) -> Alike:
+        """What a frame is beside the one before. Only what is denoised alone, from planes of the host, depends on
+        nothing but the frame."""
+        alone = not (keep or self.budget or frame.is_away or frame.unusable or ready.layers or ready.error)
+        if not alone or not frame.tensors.keys() == frame.host_planes.keys() or ready.reflections:
+            self._memory.forget()
+            return Alike.OTHER
+        planes: dict[Hashable, np.ndarray] = {Role.COLOUR: frame.host_planes[Role.COLOUR]}
+        planes |= {str(role): plane for role, plane in frame.host_planes.items()}
+        planes |= {f"guide {role}": plane for role, plane in frame.host_guides.items()}
+        facts = (frame.exposure_factor, frame.jitter, frame.guide_jitter, frame.spec, self._wider)
+        return self._memory.look(facts, planes)
+
+    def _keep_result(self, commands: CommandBuffer, colour: Tensor) -> None:
+        """Record a copy of a frame's picture, for frames that are the same."""
+        if self._result is None or self._result.shape != colour.shape:
+            self._result = self._device.heap.tensor("picture of the same frames", colour.shape)
+        copier = self._device.host_state("keep", ("colour",), ("output",), lambda seen, kept: np.copyto(kept, seen))
+        commands.run(copier, "keep", colour=colour, output=self._result)
 
     def _tell_of_alpha(self) -> None:
         """Say once that noisy alpha takes another network."""
@@ -529,7 +563,7 @@ class Savings:
     """Counts frames by how much work they needed. For each frame, call `begin`, then `note_time`."""
 
     def __init__(self) -> None:
-        self._kinds = {name: Kind() for name in ("whole", "tiles", "lit", "nothing", "empty")}
+        self._kinds = {name: Kind() for name in ("whole", "tiles", "lit", "nothing", "empty", "same")}
         self._alone = self._still = self._resized = self._known = self._full = self._hazy = self._repeats = 0
         self._now = "whole"
         self._unfollowed: Counter[str] = Counter()
@@ -548,6 +582,11 @@ class Savings:
         """Begin a frame without any light, of which the network sees nothing."""
         self._now = "empty"
         self._kinds["empty"].frames += 1
+
+    def begin_same(self) -> None:
+        """Begin a frame that is the one before, of which the network sees nothing."""
+        self._now = "same"
+        self._kinds["same"].frames += 1
 
     def note_unblended(self) -> None:
         """This frame is denoised fully although it has a strength plane."""
@@ -579,7 +618,7 @@ class Savings:
     def lines(self) -> tuple[tuple[str, str], ...]:
         """Work left out, each with the reason and the time saved."""
         found = []
-        nothing, empty = self._kinds["nothing"], self._kinds["empty"]
+        nothing, empty, same = (self._kinds[name] for name in ("nothing", "empty", "same"))
         for kind, why in ((self._kinds["tiles"], "strength is 0 there"), (self._kinds["lit"], "all is black there")):
             if kind.frames:
                 part = 100 * kind.share / kind.frames
@@ -589,6 +628,9 @@ class Savings:
             found.append((f"network for {_count(nothing.frames)}", f"strength is 0 everywhere; {self._saved(nothing)}"))
         if empty.frames:
             found.append((f"network for {_count(empty.frames)}", f"all is black; {self._saved(empty)}"))
+        if same.frames:
+            found.append((f"network for {_count(same.frames)}",
+                          f"all is as in the frame before; {self._saved(same)}"))
         if self._full:
             found.append((f"blend with the input for {_count(self._full)}", "strength is 1 everywhere"))
         if self._alone:

@@ -141,6 +141,11 @@ def has_model(model: str) -> bool:
     return model == CLASSIC or name in library.names()
 
 
+def runs_classic(device: Device) -> bool:
+    """Whether a device has the classical filter's kernels: as compiled rows or on a GPU."""
+    return device.runs_rows or bool(device.gpu)
+
+
 def grid_of(models: Iterable[str]) -> int:
     """Render pixels along a side of a cell of the coarsest level that any of these models computes: sides of their
     input are multiples of it."""

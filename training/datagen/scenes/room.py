@@ -229,3 +229,10 @@ def sample_camera(frame: float) -> Camera:
     """A slow truck to the right with a slight turn."""
     eye = np.array([-0.5 + 0.03 * frame, 1.35, 2.75 - 0.01 * frame])
     return Camera(look_at(eye, np.array([0.1 + 0.012 * frame, 0.8, -1.0])), 66.0)
+
+
+def orbiting_camera(degrees: float) -> Camera:
+    """A camera on a circle around the table, at this angle from where the slow one stands, to the right."""
+    turn = np.radians(degrees)
+    eye = np.array([0.1 + 2.2 * np.sin(turn), 1.4, -0.4 + 2.2 * np.cos(turn)])
+    return Camera(look_at(eye, np.array([0.1, 0.8, -0.4])), 66.0)
