@@ -16,6 +16,11 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 SMALL_DENOISER = REPOSITORY / "tests/training/small_denoiser.py"
 
 
+@pytest.fixture(autouse=True)
+def unseen(no_first_look: None) -> None:
+    """Passes are tested without the doctor."""
+
+
 @pytest.fixture(scope="session")
 def exported_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of the models 'denoise_upscale.small' and 'doubting', each with and without guides, 'low', 'residual'."""
