@@ -73,10 +73,18 @@ def no_pauses() -> Iterator[None]:
 def models_parsed_once() -> Iterator[None]:
     """What follows from the bytes of a model's file alone is found once: tests make the same networks ready anew."""
     with pytest.MonkeyPatch.context() as patch:
-        for place in ("postfx.runtime.models.parse_model", "postfx.runtime.device.take_products"):
+        for place in ("postfx.runtime.models.parse_model", "postfx.passes.scene.parse_model",
+                      "postfx.runtime.device.take_products"):
             module, _, name = place.rpartition(".")
-            patch.setattr(place, lru_cache(16)(getattr(import_module(module), name)))
+            patch.setattr(place, lru_cache(64)(getattr(import_module(module), name)))
         yield
+
+
+@pytest.fixture
+def no_first_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The doctor does not look at the first frames of a run, which took a tenth of the time of tests of passes. Its own
+    tests, those of the command line, and those of frames of any content have it look."""
+    monkeypatch.setattr("postfx.pipeline.Pipeline._look", lambda *_: None)
 
 
 @pytest.fixture(scope="session")

@@ -38,9 +38,7 @@ def psnr(picture: np.ndarray, reference: np.ndarray) -> float:
 
 def ssim(picture: np.ndarray, reference: np.ndarray) -> float:
     """Structural similarity (Wang 2004) of code values, mean over pixels and channels."""
-    # scikit-image comes without types.
-    found = structural_similarity(picture, reference, channel_axis=2, data_range=1)  # type: ignore[no-untyped-call]
-    return float(found)
+    return float(structural_similarity(picture, reference, channel_axis=2, data_range=1))
 
 
 def flip(picture: np.ndarray, reference: np.ndarray) -> float:

@@ -216,7 +216,19 @@ def _is_compiled(name: str, level: str | None) -> bool:
     level, part = level or levels()[-1], _parts().get(name)
     if part is None or _whole_library(level):
         return True
-    return _find(_folders(own=True), build.digest_of([part.unit], _this_target(), part.flags), level) is not None
+    return (part, level) in _compiled_parts or _found_part(part, level)
+
+
+_compiled_parts = set[tuple[build.Part, str]]()
+"""Parts and levels that were found compiled: to look reads and hashes all their sources."""
+
+
+def _found_part(part: build.Part, level: str) -> bool:
+    digest = build.digest_of([part.unit], _this_target(), part.flags)
+    found = _find(_folders(own=True), digest, level) is not None
+    if found:
+        _compiled_parts.add((part, level))
+    return found
 
 
 @cache

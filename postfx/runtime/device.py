@@ -408,7 +408,7 @@ class Device:
         return PortableComputeState(self, kernel, session)
 
     def _portable_model(self, kernel: Kernel) -> bytes:
-        if self._kernels and kernel.name in self._kernels.names():
+        if self._kernels and kernel.name in self._kernels:
             return self._kernels.load(kernel.name)
         if not kernel.portable.is_file():
             raise ModelError(f"kernel '{kernel.name}' has no form that runs on {self!r}: there is no "

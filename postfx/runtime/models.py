@@ -6,6 +6,7 @@ import hashlib
 import math
 import os
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from postfx.system import is_plain_name, models_dir
 _PARTS = {"inputs": dict, "outputs": dict, "weights": str}
 _WORDS = {dict: "objects", str: "texts"}
 _MOST_CARD = 1 << 20  # bytes
+_CARDS = 64
+"""Cards that are remembered: a plan asks for the same ones dozens of times."""
 
 
 class Library:
@@ -45,6 +48,10 @@ class Library:
         """Names of all models, sorted."""
         return tuple(sorted({path.stem for folder in self.folders for path in folder.glob("*.onnx")}))
 
+    def __contains__(self, name: str) -> bool:
+        """Whether there is a model of this name, which costs less than to list all."""
+        return any(os.path.isfile(folder / f"{name}.onnx") for folder in self.folders)
+
     def path(self, name: str) -> Path:
         """The model's file. Raises ModelError that lists the models there are."""
         for folder in self.folders:
@@ -65,18 +72,10 @@ class Library:
         if not os.path.exists(path):
             return {}
         try:
-            card = parse_json(read_text(path, _MOST_CARD))
+            facts = path.stat()
+            return dict(_read_card(path, (facts.st_ino, facts.st_mtime_ns, facts.st_size)))
         except (OSError, ValueError) as error:
             raise ModelError(f"card '{path}' cannot be read: {error}") from error
-        if not isinstance(card, dict):
-            raise ModelError(f"card '{path}' is not a JSON object")
-        for key, kind in _PARTS.items():
-            if not isinstance(card.get(key, {}), dict) or not all(type(v) is kind for v in card.get(key, {}).values()):
-                raise ModelError(f"card '{path}': '{key}' must be an object of {_WORDS[kind]}")
-        for facts in (*card.get("inputs", {}).values(), *card.get("outputs", {}).values()):
-            if not isinstance(facts.get("shape", []), list):
-                raise ModelError(f"card '{path}': a 'shape' must be a list of numbers and names")
-        return card
 
     def constants(self, name: str) -> tuple[str, ...]:
         """Outputs that the card marks as `"constant": true`: they depend on no input."""
@@ -97,6 +96,22 @@ class Library:
         content = _read_checked(path, card.get("sha256"))
         check_model(path, content, card, self.trust)
         return content
+
+
+@lru_cache(_CARDS)
+def _read_card(path: Path, version: tuple[int, int, int]) -> dict[str, Any]:
+    """A card of a version of its file. Raises ModelError, OSError, ValueError."""
+    card = parse_json(read_text(path, _MOST_CARD))
+    if not isinstance(card, dict):
+        raise ModelError(f"card '{path}' is not a JSON object")
+    for key, kind in _PARTS.items():
+        held = card.get(key, {})
+        if not isinstance(held, dict) or not all(type(value) is kind for value in held.values()):
+            raise ModelError(f"card '{path}': '{key}' must be an object of {_WORDS[kind]}")
+    for facts in (*card.get("inputs", {}).values(), *card.get("outputs", {}).values()):
+        if not isinstance(facts.get("shape", []), list):
+            raise ModelError(f"card '{path}': a 'shape' must be a list of numbers and names")
+    return card
 
 
 def _read_checked(path: Path, sha256: str | None) -> bytes:

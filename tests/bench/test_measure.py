@@ -58,6 +58,7 @@ def test_the_first_use_of_a_machine_does_not_count(task, tmp_path, monkeypatch):
     monkeypatch.setattr(library, "_folders", lambda own: [folder])
     for kept in (library._whole_library, library.open_library, library._form):
         kept.cache_clear()
+    library._compiled_parts.clear()
     assert measure.measure(task(OTHERS[-1])) is None
     assert list(folder.glob("*-*.*"))
     answers, runs, run = [{"again": True}], [], measure._run_process

@@ -6,6 +6,16 @@ from postfx.frame import Frame
 from postfx.runtime import Device, DeviceError
 from tests.stress.scenes import PROVIDERS, room
 
+ANY_CONTENT = ("test_any_input", "test_bad_pixels", "test_hard_inputs", "test_hard_planes")
+"""Tests in which the doctor, too, meets frames that no renderer makes."""
+
+
+@pytest.fixture(autouse=True)
+def unseen(request: pytest.FixtureRequest) -> None:
+    """The others look for what the passes do."""
+    if request.path.stem not in ANY_CONTENT:
+        request.getfixturevalue("no_first_look")
+
 
 @pytest.fixture(scope="session")
 def cpu() -> Device:

@@ -138,7 +138,7 @@ def _named(tag: str, ending: str, device: Device | None) -> str:
 def has_model(model: str) -> bool:
     """Whether a model exists; the classical filter always does."""
     library, name = find_model(model)
-    return model == CLASSIC or name in library.names()
+    return model == CLASSIC or name in library
 
 
 def runs_classic(device: Device) -> bool:
@@ -230,7 +230,7 @@ def _halo_in_card(model: str) -> int:
 
 def _card(model: str) -> dict[str, Any]:
     library, name = find_model(model)
-    return library.card(name) if name in library.names() else {}
+    return library.card(name) if name in library else {}
 
 
 def _grid(outputs: Mapping[str, Mapping[str, Any]]) -> int:
