@@ -3,9 +3,9 @@
     python -m training.measure.first_frame [--times 3] [--list] [ARGUMENTS OF POSTFX RUN ...]
 
 Copies what git knows of this checkout, without compiled kernels, to a folder of its own with an empty cache, and runs
-one frame of the sample sequence there, by default at the render's size. Prints the seconds of processor time, the
-median of several copies. --list also prints each library of the last copy with the compiler's seconds, the longest
-first. Processor time depends on what else the machine does: take it when nothing runs beside.
+one frame of the sample sequence there, by default at the render's size. Prints the seconds of processor time of several
+copies, median and least: work beside makes a processor's second worth less. --list also prints each file that the last
+copy compiled with its seconds, the longest first.
 """
 
 from __future__ import annotations
@@ -67,7 +67,9 @@ def measure(arguments: list[str]) -> tuple[float, list[tuple[str, float]]]:
         command = [sys.executable, "-c", TRACE, str(trace), "run", str(FRAMES), "-o", f"{made}/out.####.exr",
                    "--frames", "1", *arguments]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run(command, cwd=made, env=environment, check=True, stdout=subprocess.DEVNULL)
+        done = subprocess.run(command, cwd=made, env=environment, capture_output=True, text=True)
+        if done.returncode:
+            raise SystemExit(done.stderr)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         return used, [tuple(call) for call in json.loads(trace.read_text("utf-8"))]
@@ -89,9 +91,10 @@ def main() -> None:
     given, arguments = parser.parse_known_args()
     runs = [measure(arguments) for _ in range(given.times)]
     calls = runs[-1][1]
-    compiling = statistics.median(sum(seconds for _, seconds in calls) for _, calls in runs)
-    whole = statistics.median(used for used, _ in runs)
-    print(f"compiler: {compiling:.1f} s, {len(calls)} calls; all else: {whole - compiling:.1f} s")
+    compiling = [sum(seconds for _, seconds in calls) for _, calls in runs]
+    rest = [used - seconds for (used, _), seconds in zip(runs, compiling, strict=True)]
+    print(f"compiler, {len(calls)} calls: median {statistics.median(compiling):.1f} s, least {min(compiling):.1f} s")
+    print(f"all else: median {statistics.median(rest):.1f} s, least {min(rest):.1f} s")
     if given.list:
         for command, seconds in sorted(calls, key=lambda call: -call[1]):
             print(f"  {seconds:5.2f} {name_of(command)}")
