@@ -153,17 +153,22 @@ def read_source(family: Path) -> str:
     constants and the code that all families share, then the header of the same name, if there is one, and the file.
     A plug-in's `#include <postfx/mlp.cuh>` becomes that header."""
     view = (SHARED / "view.cuh").read_text()
-    own = "".join(path.read_text() for path in (family.with_suffix(".cuh"), family) if path.exists())
+    files = [path for path in (family.with_suffix(".cuh"), family) if path.exists()]
     if not family.is_relative_to(SOURCES):
-        return view + own.replace("#include <postfx/mlp.cuh>", _network_source(), 1)
+        own = "".join(path.read_text() for path in files)
+        return view + own.replace("#include <postfx/mlp.cuh>", _with_headers(SHARED / "mlp.cuh"), 1)
+    own = "".join(map(_with_headers, files))
     source = (SHARED / "common.cuh").read_text() + own
     return view + print_constants(constants_of(family, source)) + source
 
 
-def _network_source() -> str:
-    """`<postfx/mlp.cuh>`, with the header that a CPU has, too, in its place."""
-    header = re.sub(r"^#(?:pragma|include) .*\n", "", (SHARED / "mlp.h").read_text(), flags=re.M)
-    return (SHARED / "mlp.cuh").read_text().replace('#include "mlp.h"\n', header)
+def _with_headers(path: Path) -> str:
+    """A file with our headers in the place of its includes. Those that a CPU has, too, include what only a CPU needs:
+    these lines are left out."""
+    text = path.read_text()
+    if path.suffix == ".h":
+        return re.sub(r"^#(?:pragma|include) .*\n", "", text, flags=re.M)
+    return re.sub(r'^#include "(.+)"\n', lambda found: _with_headers(SHARED / found[1]), text, flags=re.M)
 
 
 @cache
