@@ -180,12 +180,14 @@ def convolution_source(warpgroups: bool) -> str:
 
 
 def constants_of(family: Path, source: str) -> dict[str, Any]:
-    """Numbers of Python that a source of ours names, by name: those of the module beside its file, those that the
-    upscaler's kernels share, and those of this module. A pair NAME of a low and a high number is NAME_LOW and
-    NAME_HIGH."""
-    own = ".".join(("postfx", *family.relative_to(SOURCES).with_suffix("").parts))
+    """Numbers of Python that a source of ours names, by name: those of the module beside its file, if there is one,
+    those that the upscaler's kernels share, and those of this module. A pair NAME of a low and a high number is
+    NAME_LOW and NAME_HIGH."""
+    modules = [__name__, "postfx.kernels.denoise"]
+    if family.with_suffix(".py").exists():
+        modules.append(".".join(("postfx", *family.relative_to(SOURCES).with_suffix("").parts)))
     known: dict[str, Any] = {}
-    for module in (__name__, "postfx.kernels.denoise", own):
+    for module in modules:
         known |= vars(import_module(module))
     pairs = {f"{name}_{end}": value[at] for name, value in known.items() if isinstance(value, tuple) and len(value) == 2
              for at, end in enumerate(("LOW", "HIGH"))}
