@@ -305,7 +305,7 @@ static Status strength_rows(Long first, Long last, Picture denoised, Picture pla
     }
     return DONE;
 }
-EXPORT(denoise_strength, strength_rows)
+EXPORT_ALONE(denoise_strength, strength_rows)
 
 // Tiles: of each its usable area, then the area where it comes before all others. The first of several is written last.
 struct Area {
