@@ -87,6 +87,39 @@ def test_a_header_alone_is_enough_on_a_cpu(vignette, tmp_path):
     assert skipped == "1"
 
 
+FIVE_FILES = """
+import numpy as np
+from postfx import Frame, Pipeline, Role
+from postfx.kernels import find_source, read_source
+from postfx.passes import registry
+from postfx.passes.vignette import VIGNETTE
+frame = Frame({Role.COLOUR: np.ones((101, 101, 3), np.float32)})
+made = Pipeline([registry.create("vignette", amount=0.5)])(frame)[Role.COLOUR]
+print(float(made[50, 50, 0]), float(made[0, 0, 0]), "void vignette" in read_source(find_source(VIGNETTE)))
+"""
+
+
+@pytest.mark.skipif(find_spec("ziglang") is None, reason="needs ziglang")
+def test_a_pass_that_comes_with_postfx_takes_five_files(vignette, tmp_path):
+    """The example's pass, kernel and CUDA source, and a line of the registry; the fifth is its test."""
+    package = tmp_path / "postfx"
+    shutil.copytree(DOCS.parent / "postfx", package, ignore=shutil.ignore_patterns("_native", "__pycache__"))
+    text = (vignette / "postfx_vignette/__init__.py").read_text()
+    own = 'Rows("vignette", Path(__file__).with_name("vignette.h"))'
+    assert own in text
+    (package / "passes/vignette.py").write_text(text.replace(own, 'Rows("vignette")'))
+    shutil.copy(vignette / "postfx_vignette/vignette.h", package / "kernels/vignette.cpp")
+    shutil.copy(vignette / "postfx_vignette/vignette.cu", package / "kernels")
+    registered = (package / "passes/registry.py").read_text().replace(
+        "BUILT_IN = {", 'BUILT_IN = {"vignette": "postfx.passes.vignette:Vignette",')
+    (package / "passes/registry.py").write_text(registered)
+    done = subprocess.run([sys.executable, "-c", FIVE_FILES], env=os.environ | {"PYTHONPATH": str(tmp_path)},
+                          cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    centre, corner, has_source = done.stdout.split()
+    assert float(centre) == 1.0 and float(corner) == pytest.approx(0.51, abs=0.005) and has_source == "True"
+
+
 def test_the_example_pass_runs_in_python(vignette, monkeypatch, capsys):
     monkeypatch.syspath_prepend(vignette)
     point = EntryPoint("vignette", "postfx_vignette:Vignette", registry.GROUP)

@@ -153,17 +153,22 @@ def read_source(family: Path) -> str:
     constants and the code that all families share, then the header of the same name, if there is one, and the file.
     A plug-in's `#include <postfx/mlp.cuh>` becomes that header."""
     view = (SHARED / "view.cuh").read_text()
-    own = "".join(path.read_text() for path in (family.with_suffix(".cuh"), family) if path.exists())
+    files = [path for path in (family.with_suffix(".cuh"), family) if path.exists()]
     if not family.is_relative_to(SOURCES):
-        return view + own.replace("#include <postfx/mlp.cuh>", _network_source(), 1)
+        own = "".join(path.read_text() for path in files)
+        return view + own.replace("#include <postfx/mlp.cuh>", _with_headers(SHARED / "mlp.cuh"), 1)
+    own = "".join(map(_with_headers, files))
     source = (SHARED / "common.cuh").read_text() + own
     return view + print_constants(constants_of(family, source)) + source
 
 
-def _network_source() -> str:
-    """`<postfx/mlp.cuh>`, with the header that a CPU has, too, in its place."""
-    header = re.sub(r"^#(?:pragma|include) .*\n", "", (SHARED / "mlp.h").read_text(), flags=re.M)
-    return (SHARED / "mlp.cuh").read_text().replace('#include "mlp.h"\n', header)
+def _with_headers(path: Path) -> str:
+    """A file with our headers in the place of its includes. Those that a CPU has, too, include what only a CPU needs:
+    these lines are left out."""
+    text = path.read_text()
+    if path.suffix == ".h":
+        return re.sub(r"^#(?:pragma|include) .*\n", "", text, flags=re.M)
+    return re.sub(r'^#include "(.+)"\n', lambda found: _with_headers(SHARED / found[1]), text, flags=re.M)
 
 
 @cache
@@ -175,12 +180,14 @@ def convolution_source(warpgroups: bool) -> str:
 
 
 def constants_of(family: Path, source: str) -> dict[str, Any]:
-    """Numbers of Python that a source of ours names, by name: those of the module beside its file, those that the
-    upscaler's kernels share, and those of this module. A pair NAME of a low and a high number is NAME_LOW and
-    NAME_HIGH."""
-    own = ".".join(("postfx", *family.relative_to(SOURCES).with_suffix("").parts))
+    """Numbers of Python that a source of ours names, by name: those of the module beside its file, if there is one,
+    those that the upscaler's kernels share, and those of this module. A pair NAME of a low and a high number is
+    NAME_LOW and NAME_HIGH."""
+    modules = [__name__, "postfx.kernels.denoise"]
+    if family.with_suffix(".py").exists():
+        modules.append(".".join(("postfx", *family.relative_to(SOURCES).with_suffix("").parts)))
     known: dict[str, Any] = {}
-    for module in (__name__, "postfx.kernels.denoise", own):
+    for module in modules:
         known |= vars(import_module(module))
     pairs = {f"{name}_{end}": value[at] for name, value in known.items() if isinstance(value, tuple) and len(value) == 2
              for at, end in enumerate(("LOW", "HIGH"))}

@@ -4,19 +4,15 @@
 //     #include <postfx/mlp.cuh>
 //     float features[14], light[3];
 //     mlp<GELU, 14, 64, 64, 3>(parameters.at, features, light);
-#define FN __device__ inline
-#define FN_MEMBER __device__
-#define UNROLL _Pragma("unroll")
+#include "number.cuh"
+#include "gelu.h"
 
 enum Activation { RELU, GELU, SINE };
 
-template <class F> struct Active {
-    F value;
-};
 template <int KIND, class F> FN Active<F> activated(F z) {
-    if (KIND == SINE) return {sinf(z)};
-    if (KIND == GELU) return {0.5f * z * (1.0f + erff(z * 0.7071067811865476f))};
-    return {z < 0.0f ? 0.0f : z};
+    if (KIND == SINE) return {sinf(z), cosf(z)};
+    if (KIND == GELU) return gelu_of<F>(z);
+    return {z < 0.0f ? 0.0f : z, z > 0.0f ? 1.0f : 0.0f};
 }
 
 #include "mlp.h"

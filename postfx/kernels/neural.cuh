@@ -3,6 +3,9 @@
 // A warp takes 16 or 32 points through all layers in its registers; the weights lie in its block's shared memory, if
 // there is room. Products are made by tensor cores: each number is a sum of two with 11 bits, and three products of
 // these are added up in float32 (Ootomo and Yokota 2022), so that results have float32's precision.
+#include "number.cuh"
+#include "gelu.h"
+
 #ifdef __CUDACC__
 extern __shared__ __align__(16) float memory[];
 
@@ -135,7 +138,7 @@ __device__ inline Pair waves_of(float turns) {
     return {sine_of(whole, PI * rest), sine_of(whole, PI * (0.5f - fabsf(rest)))};
 }
 
-// GELU (Abramowitz and Stegun 7.1.26) and sine, as on the CPU, and their slopes; a ReLU is made where the sums are.
+// GELU and sine, as on the CPU, and their slopes; a ReLU is made where the sums are.
 __device__ inline void activate(int kind, float& z, float& slope) {
     if (kind == SINE) {
         const float whole = floorf(z * (1.0f / PI) + 0.5f);  // pi in three parts, the first two of few bits
@@ -144,15 +147,9 @@ __device__ inline void activate(int kind, float& z, float& slope) {
         z = sine_of(whole, rest);
         return;
     }
-    const float size = fabsf(z) * 0.7071067811865476f, bell = expf(fmaxf(-size * size, -80.0f));
-    const float t = 1.0f / (1.0f + 0.3275911f * size);
-    float tail = 1.061405429f * t - 1.453152027f;
-    tail = tail * t + 1.421413741f;
-    tail = tail * t - 0.284496736f;
-    tail = (tail * t + 0.254829592f) * t * bell * 0.5f;
-    const float share = z > 0.0f ? 1.0f - tail : tail;
-    slope = share + z * bell * 0.3989422804014327f;
-    z *= share;
+    const Active<float> found = gelu_of<float>(z);
+    slope = found.slope;
+    z = found.value;
 }
 
 union Bits {

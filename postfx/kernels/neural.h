@@ -1,6 +1,7 @@
 // Activations of small networks, and what their kernels are told of a network and a grid.
 #pragma once
 #include "number.h"
+#include "gelu.h"
 
 constexpr int RELU = 0;
 constexpr int GELU = 1;
@@ -22,29 +23,10 @@ struct Hyper {
     float rate, slow, slower, epsilon;
 };
 
-// An activation and its slope.
-template <class F> struct Active {
-    F value, slope;
-};
-
 // NaN stays NaN.
 template <class F> FN Active<F> relu_of(F z) {
     const F one = F(1.0f), zero = F(0.0f);
     return {larger<F>(zero, z), z > 0.0f ? one : zero};
-}
-
-// z times the normal distribution's share below z; error of that share below 1e-7 (Abramowitz and
-// Stegun 7.1.26).
-template <class F> FN Active<F> gelu_of(F z) {
-    const F size = size_of<F>(z) * 0.7071067811865476f;
-    const F bell = exp_of<F>(within<F>(-size * size, -80.0f, 0.0f));
-    const F t = 1.0f / (1.0f + 0.3275911f * size);
-    F tail = 1.061405429f * t - 1.453152027f;
-    tail = tail * t + 1.421413741f;
-    tail = tail * t - 0.284496736f;
-    tail = (tail * t + 0.254829592f) * t * bell * 0.5f;
-    const F share = z > 0.0f ? 1.0f - tail : tail;
-    return {z * share, share + z * bell * 0.3989422804014327f};
 }
 
 // Sine and cosine of whole pi + rest, for rest in [-pi/2, pi/2]; Taylor series, absolute error

@@ -15,8 +15,12 @@ typedef unsigned char byte;
 typedef signed char sbyte;
 
 #define FN static inline __attribute__((always_inline))
+// Work of a row that several places ask for: compiled once.
+#define ONCE static __attribute__((noinline))
 #define FN_MEMBER __attribute__((always_inline))
 #define UNROLL _Pragma("clang loop unroll(full)")
+// A loop that few pixels or none pass: one copy of its body is enough.
+#define AS_IT_IS _Pragma("clang loop vectorize(disable) interleave(disable) unroll(disable)")
 
 #if defined(__AVX512F__)
 constexpr int WIDE = 16;

@@ -159,7 +159,7 @@ static void look_up(Long first, Long last, View<const float, 1> codes, View<cons
     });
     *inside.at = all;
 }
-EXPORT(look_up, look_up)
+EXPORT_ALONE(look_up, look_up)
 
 // 8 bits.
 
@@ -194,7 +194,7 @@ static void dither_rows(Long first, Long last, View<const float, 2> codes, Given
         }
     }
 }
-EXPORT(dither_rows, dither_rows)
+EXPORT_ALONE(dither_rows, dither_rows)
 
 // PNG's filter 4 (ISO/IEC 15948, 9.4) of rows, after its number; `above` is the row before.
 FN int distance(int x, int other) { return x < other ? other - x : x - other; }
@@ -217,7 +217,7 @@ static void filter_rows(Long first, Long last, View<const byte, 2> rows, View<co
         }
     }
 }
-EXPORT(filter_rows, filter_rows)
+EXPORT_ALONE(filter_rows, filter_rows)
 
 // Bytes as OpenEXR compresses them (ImfZip.cpp): those in even places before those in odd ones,
 // each less the one before it, plus 128.

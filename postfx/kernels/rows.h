@@ -176,7 +176,7 @@ template <class R, class... A> const char* kinds_of(R (*)(Long, Long, A...)) {
 #define PIXELS(...) [&](__VA_ARGS__) __attribute__((always_inline))
 template <class Pixels> FN void across(Long first, Long last, const Pixels& pixels) {
     if (last - first < WIDE) {
-        for (Long x = first; x < last; x++) pixels(float(), x);
+        AS_IT_IS for (Long x = first; x < last; x++) pixels(float(), x);
         return;
     }
     for (Long x = first; x < last; x += WIDE) {
@@ -188,5 +188,5 @@ template <class Pixels> FN void across(Long first, Long last, const Pixels& pixe
 template <class Pixels> FN void across_once(Long first, Long last, const Pixels& pixels) {
     Long x = first;
     for (; x + WIDE <= last; x += WIDE) pixels(Wide(), x);
-    for (; x < last; x++) pixels(float(), x);
+    AS_IT_IS for (; x < last; x++) pixels(float(), x);
 }

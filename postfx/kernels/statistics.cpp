@@ -25,7 +25,7 @@ FN WideInt larger_bits(const unsigned* at, WideInt before) {
     const WideInt found = load_int<Wide>((const int*)at) & 0x7FFFFFFF;
     return found > before ? found : before;
 }
-FN int largest_of(const unsigned* numbers, Long count) {
+ONCE int largest_of(const unsigned* numbers, Long count) {
     constexpr Long AT_ONCE = 4, AHEAD = 512;  // numbers that memory is asked for early
     WideInt wide[AT_ONCE] = {};
     Long i = 0;
@@ -37,10 +37,8 @@ FN int largest_of(const unsigned* numbers, Long count) {
     }
     for (; i + WIDE <= count; i += WIDE) wide[0] = larger_bits(numbers + i, wide[0]);
     int largest = 0;
-    for (; i < count; i++) largest = larger<int>(int(numbers[i] & 0x7FFFFFFF), largest);
-    for (Long k = 0; k < AT_ONCE * WIDE; k++) {
-        largest = larger<int>(wide[k / WIDE][k % WIDE], largest);
-    }
+    AS_IT_IS for (; i < count; i++) largest = larger<int>(int(numbers[i] & 0x7FFFFFFF), largest);
+    for (const WideInt& some : wide) largest = larger<int>(__builtin_reduce_max(some), largest);
     return largest;
 }
 static void largest_rows(Long first, Long last, View<const unsigned, 2> rows,
@@ -78,9 +76,21 @@ static void same_rows(Long, Long, Places one, Places other, View<bool, 1> same) 
         *same.at = single == 0.0f;
     }
 }
-EXPORT(is_same_plane, same_rows)
+EXPORT_ALONE(is_same_plane, same_rows)
 
 // Blocks of pixels.
+
+ONCE void add_lights(const float* row, Long width, double* total, double* brightest,
+                     double* unknown) {
+    across_once(0, width, PIXELS(auto one, Long x) {
+        typedef decltype(one) F;
+        const Light<F> found = light_of<F>(row + 3 * x);
+        const Double<F> most = load_double<F>(brightest + x);
+        store_double(total + x, load_double<F>(total + x) + found.light);
+        store_double(brightest + x, found.light > most ? found.light : most);
+        store_double(unknown + x, load_double<F>(unknown + x) + found.unknown);
+    });
+}
 
 // Of each column of a row of blocks: its light, its brightest pixel, and pixels that are not
 // finite.
@@ -97,16 +107,7 @@ struct Lights {
     void clear() const {
         for (Long i = 0; i < 3 * width; i++) room.at[i] = 0.0;
     }
-    FN_MEMBER void add(const float* row) const {
-        across_once(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            const Light<F> found = light_of<F>(row + 3 * x);
-            const Double<F> most = load_double<F>(brightest + x);
-            store_double(total + x, load_double<F>(total + x) + found.light);
-            store_double(brightest + x, found.light > most ? found.light : most);
-            store_double(unknown + x, load_double<F>(unknown + x) + found.unknown);
-        });
-    }
+    void add(const float* row) const { add_lights(row, width, total, brightest, unknown); }
 };
 struct Block {
     double total = 0.0, brightest = 0.0, unknown = 0.0;
@@ -193,7 +194,7 @@ EXPORT(pair_means, pair_rows)
 
 // The least or the largest of each column of rows of a plane, from what is given before.
 template <bool LARGEST>
-FN void extreme_of(const Plane& plane, Long first, Long last, float* found) {
+ONCE void extreme_of(Plane plane, Long first, Long last, float* found) {
     for (Long y = first; y < last; y++) {
         across_once(0, plane.size[1], PIXELS(auto one, Long x) {
             typedef decltype(one) F;
@@ -231,7 +232,7 @@ static Status bounds_rows(Long first, Long last, Plane plane, Lengths side, View
     }
     return DONE;
 }
-EXPORT(bounds_of_cells, bounds_rows)
+EXPORT_ALONE(bounds_of_cells, bounds_rows)
 
 // Sets cells of side x side pixels in which a plane is positive anywhere.
 static Status positive_rows(Long first, Long last, Plane plane, Lengths side, View<bool, 2> cells) {
@@ -247,7 +248,7 @@ static Status positive_rows(Long first, Long last, Plane plane, Lengths side, Vi
     }
     return DONE;
 }
-EXPORT(mark_positive, positive_rows)
+EXPORT_ALONE(mark_positive, positive_rows)
 
 // Sets cells of side x side pixels that are not 0 everywhere.
 static void lit_rows(Long first, Long last, View<const unsigned, 3> plane, Lengths side,
@@ -266,7 +267,7 @@ static void lit_rows(Long first, Long last, View<const unsigned, 3> plane, Lengt
         }
     }
 }
-EXPORT(mark_lit, lit_rows)
+EXPORT_ALONE(mark_lit, lit_rows)
 
 // How many of every second row's pixels, but for the first and the last, are a hit where at least
 // three of four neighbours are misses, or the other way round.
@@ -348,7 +349,7 @@ template <class Term> FN double sum_of(Long count, const Term& term) {
     for (; i + SUMS <= count; i += SUMS) sums += term(Sums(), i);
     double total = 0.0;
     for (int k = 0; k < SUMS; k++) total += sums[k];
-    for (; i < count; i++) total += term(double(), i);
+    AS_IT_IS for (; i < count; i++) total += term(double(), i);
     return total;
 }
 template <class D> FN D numbers_at(const double* at) {
@@ -357,28 +358,29 @@ template <class D> FN D numbers_at(const double* at) {
     return x;
 }
 
+ONCE double mean_of(const double* x, Long count) {
+    return sum_of(count, PIXELS(auto kind, Long i) {
+        return numbers_at<decltype(kind)>(x + i);
+    }) / double(count);
+}
+ONCE double sum_of_products(const double* x, double mean_x, const double* y, double mean_y,
+                            Long count) {
+    return sum_of(count, PIXELS(auto kind, Long i) {
+        typedef decltype(kind) D;
+        return (numbers_at<D>(x + i) - mean_x) * (numbers_at<D>(y + i) - mean_y);
+    });
+}
+
 // Sums of squares and of products of channels (channels, cells) without their means.
 static void moment_rows(Long first, Long last, Columns one, Columns other, View<double, 2> found) {
     const Long cells = one.size[1];
     for (Long c = first; c < last; c++) {
         const double *a = one(c), *b = other(c);
-        const double mean_a = sum_of(cells, PIXELS(auto kind, Long i) {
-            return numbers_at<decltype(kind)>(a + i);
-        }) / double(cells);
-        const double mean_b = sum_of(cells, PIXELS(auto kind, Long i) {
-            return numbers_at<decltype(kind)>(b + i);
-        }) / double(cells);
-        const auto products =
-            PIXELS(const double* x, double mean_x, const double* y, double mean_y) {
-            return sum_of(cells, PIXELS(auto kind, Long i) {
-                typedef decltype(kind) D;
-                return (numbers_at<D>(x + i) - mean_x) * (numbers_at<D>(y + i) - mean_y);
-            });
-        };
+        const double mean_a = mean_of(a, cells), mean_b = mean_of(b, cells);
         double* out = found(c);
-        out[0] = products(a, mean_a, a, mean_a);
-        out[1] = products(b, mean_b, b, mean_b);
-        out[2] = products(a, mean_a, b, mean_b);
+        out[0] = sum_of_products(a, mean_a, a, mean_a, cells);
+        out[1] = sum_of_products(b, mean_b, b, mean_b, cells);
+        out[2] = sum_of_products(a, mean_a, b, mean_b, cells);
     }
 }
 EXPORT(moments, moment_rows)

@@ -1,6 +1,6 @@
 """Finding passes by name, and making them of words such as 'vignette,amount=0.5'.
 
-Passes are entry points of the group `postfx.passes`. Those that come with postfx are listed here too, so that a
+Passes are entry points of the group `postfx.passes`. Those that come with postfx are listed here instead, so that a
 checkout works without being installed; no other package can take their names.
 """
 
@@ -34,7 +34,7 @@ BUILT_IN = {
     "irradiance": "postfx.passes.scene:Irradiance",
     "scene_shading": "postfx.passes.scene:SceneShading",
 }
-"""Entry points of the passes that come with postfx, as in pyproject.toml."""
+"""What an entry point would say of the passes that come with postfx."""
 BEFORE, AFTER = "before", "after"
 """What says where a pass stands; no pass may have options of these names."""
 _COMMA = re.compile(r",(?=\w+=)")

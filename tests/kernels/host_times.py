@@ -42,7 +42,7 @@ from postfx.frame import Frame, Role
 from postfx.io.exr.picture import to_halves
 from postfx.io.quantisation import Dither, quantise
 from postfx.compiled import library
-    from postfx.io import pixel_formats
+from postfx.io import pixel_formats
 from postfx.passes.denoise.planes import near_cells, shows_volume
 from postfx.passes.denoise.tiling import active_cells
 from postfx.repair import repair_nonfinite

@@ -4,6 +4,11 @@
 
 constexpr int BLOCK = WIDE == 16 ? 4 : 2;  // vectors of columns at once: sums fill half of the registers
 constexpr int COLUMNS = BLOCK * WIDE;
+#if defined(__AVX512F__)
+#define EACH_OF_BLOCK AS_IT_IS
+#else
+#define EACH_OF_BLOCK UNROLL  // two of them are worth their code
+#endif
 
 #if defined(__AVX2__)
 typedef char Bytes __attribute__((vector_size(4 * WIDE)));
@@ -65,9 +70,12 @@ FN void multiply_row(const byte* codes, Long w, Long channels, const sbyte* fact
                     }
                 }
             }
+            WideInt found[BLOCK][4];  // not those above, which stay in registers
             UNROLL for (int b = 0; b < BLOCK; b++) {
-                const WideInt found[4] = {sums[0][b], sums[1][b], sums[2][b], sums[3][b]};
-                if (x + b * WIDE < w) use(k, x + b * WIDE, found);
+                UNROLL for (int j = 0; j < 4; j++) found[b][j] = sums[j][b];
+            }
+            EACH_OF_BLOCK for (int b = 0; b < BLOCK; b++) {
+                if (x + b * WIDE < w) use(k, x + b * WIDE, found[b]);
             }
         }
     }

@@ -31,7 +31,7 @@ static Status pack_rows(Long first, Long last, View<const float, 4> planes, View
     }
     return DONE;
 }
-EXPORT(denoise_pack, pack_rows)
+EXPORT_ALONE(denoise_pack, pack_rows)
 
 // Words of pixels, which lie a step apart, as rows of words.
 FN void turn_pixels(const half* pixels, Long step, Long words, Long count, int* turned) {
@@ -65,7 +65,7 @@ static Status open_rows(Long first, Long last, Halves raw, Heads heads) {
     }
     return DONE;
 }
-EXPORT(denoise_open, open_rows)
+EXPORT_ALONE(denoise_open, open_rows)
 
 // Of the fine head, whose four phases of 2x2 pixels lie one after the other.
 static Status open_fine_rows(Long first, Long last, Halves raw, Heads fine) {
@@ -90,7 +90,7 @@ static Status open_fine_rows(Long first, Long last, Halves raw, Heads fine) {
     }
     return DONE;
 }
-EXPORT(denoise_open_fine, open_fine_rows)
+EXPORT_ALONE(denoise_open_fine, open_fine_rows)
 
 // In float32.
 
@@ -112,7 +112,7 @@ static void open_phased_rows(Long first, Long last, View<const float, 4> phased,
         }
     }
 }
-EXPORT(denoise_open_phased, open_phased_rows)
+EXPORT_ALONE(denoise_open_phased, open_phased_rows)
 
 // Of a fine head at the render size.
 static void open_logits_rows(Long first, Long last, View<const float, 4> logits, Heads fine) {
@@ -130,7 +130,7 @@ static void open_logits_rows(Long first, Long last, View<const float, 4> logits,
         }
     }
 }
-EXPORT(denoise_open_logits, open_logits_rows)
+EXPORT_ALONE(denoise_open_logits, open_logits_rows)
 
 // The expected squared error of a part's pixels; of one that is unknown, the largest.
 static void open_error_rows(Long first, Long last, View<const float, 4> log_error, Places, Places,
@@ -145,7 +145,7 @@ static void open_error_rows(Long first, Long last, View<const float, 4> log_erro
         });
     }
 }
-EXPORT(denoise_open_error, open_error_rows)
+EXPORT_ALONE(denoise_open_error, open_error_rows)
 
 static void open_channels(Long first, Long last, const Products& products, const Scaling& scaling,
                           Long begin, const Heads& fine) {
@@ -173,13 +173,13 @@ static void open_fine_products_rows(Long first, Long last, Products products, Sc
                                     Heads fine) {
     open_channels(first, last, products, scaling, 0, fine);
 }
-EXPORT(denoise_open_fine_products, open_fine_products_rows)
+EXPORT_ALONE(denoise_open_fine_products, open_fine_products_rows)
 
 static void open_some_products_rows(Long first, Long last, Products products, Scaling scaling,
                                     View<const float, 1> begin, Heads fine) {
     open_channels(first, last, products, scaling, Long(begin.at[0]), fine);
 }
-EXPORT(denoise_open_some_products, open_some_products_rows)
+EXPORT_ALONE(denoise_open_some_products, open_some_products_rows)
 
 // Weights of a level's filters and its mix, which the coarsest level lacks.
 
@@ -200,7 +200,7 @@ static void open_products_rows(Long first, Long last, Products products, Scaling
         }
     }
 }
-EXPORT(denoise_open_products, open_products_rows)
+EXPORT_ALONE(denoise_open_products, open_products_rows)
 
 static Status open_codes_rows(Long first, Long last, Codes codes, Factors factors, Scaling scaling,
                               Heads heads) {
@@ -218,14 +218,14 @@ static Status open_codes_rows(Long first, Long last, Codes codes, Factors factor
                     const Wide found = opened<Wide, meaning.is>(logit);
                     float* out = heads(0, channel, y) + x;
                     if (x + WIDE <= w) store<Wide>(out, found);
-                    else for (int i = 0; i < w - x; i++) out[i] = found[i];
+                    else AS_IT_IS for (int i = 0; i < w - x; i++) out[i] = found[i];
                 });
             }
         });
     }
     return DONE;
 }
-EXPORT(denoise_open_codes, open_codes_rows)
+EXPORT_ALONE(denoise_open_codes, open_codes_rows)
 
 // The last channels of the fine head, or all of them.
 static Status open_fine_codes_rows(Long first, Long last, Codes codes, Factors factors,
@@ -238,4 +238,4 @@ static Status open_fine_codes_rows(Long first, Long last, Codes codes, Factors f
     }
     return DONE;
 }
-EXPORT(denoise_open_fine_codes, open_fine_codes_rows)
+EXPORT_ALONE(denoise_open_fine_codes, open_fine_codes_rows)

@@ -69,7 +69,7 @@ FN void sum_tiles(const float* total, Long width, Lag lag, Long tiles, float* su
         const Long left = column * TILE + (lag.right < 0 ? apart : 0);
         const Long right = smaller<Long>(column * TILE + TILE - (lag.right > 0 ? apart : 0), width);
         float found = 0.0f;
-        for (Long x = left; x < right; x++) found += total[x];
+        AS_IT_IS for (Long x = left; x < right; x++) found += total[x];
         sums[column * SUMS] = found * scale;
     }
 }
@@ -124,7 +124,7 @@ static Status judge_rows(Long first, Long last, Picture colour, Picture denoised
     }
     return DONE;
 }
-EXPORT_ALONE(denoise_judge, judge_rows)
+EXPORT(denoise_judge, judge_rows)
 
 // From `low` (0) to `high` (1).
 struct Ramp {
@@ -205,7 +205,7 @@ static Status detail_rows(Long first, Long last, Picture sums, Places evidence, 
     }
     return DONE;
 }
-EXPORT_ALONE(denoise_detail, detail_rows)
+EXPORT(denoise_detail, detail_rows)
 
 // Blends
 
@@ -287,7 +287,7 @@ static Status restore_rows(Long first, Long last, Picture colour, Picture denois
     }
     return DONE;
 }
-EXPORT_ALONE(denoise_restore, restore_rows)
+EXPORT(denoise_restore, restore_rows)
 
 // From the plain picture to the denoised one by strength times amount.
 static Status strength_rows(Long first, Long last, Picture denoised, Picture plain, Picture strength, Places amount,
@@ -339,4 +339,4 @@ static void assemble_rows(Long first, Long last, View<const float, 4> tiles, Vie
         }
     }
 }
-EXPORT_ALONE(denoise_assemble, assemble_rows)
+EXPORT(denoise_assemble, assemble_rows)

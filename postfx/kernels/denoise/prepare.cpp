@@ -206,9 +206,12 @@ static Status accumulate_rows(Long first, Long last, Picture colour, Picture dif
             F reflectance[3] = {tint.red, tint.green, tint.blue};
             if (doubts) {
                 const F trust = load<F>(head(PLANE_TRUST) + x);
-                for (int c = 0; c < 3; c++) {
-                    reflectance[c] = doubted<F>(reflectance[c], around.mean<F>(c, x), trust);
+                // not those above, which stay in registers
+                F held[3] = {tint.red, tint.green, tint.blue};
+                AS_IT_IS for (int c = 0; c < 3; c++) {
+                    held[c] = doubted<F>(held[c], around.mean<F>(c, x), trust);
                 }
+                UNROLL for (int c = 0; c < 3; c++) reflectance[c] = held[c];
             }
             store_triples<F>(by + 3 * x, reflectance[0], reflectance[1], reflectance[2]);
             F own[3], earlier[4], hidden[HIDDEN];

@@ -61,7 +61,7 @@ static void pool_rows(Long first, Long last, Planes finer, Planes finer_importan
         for (Long x = end; whole && x < width; x++) edge(x);
     }
 }
-EXPORT_ALONE(denoise_pool, pool_rows)
+EXPORT(denoise_pool, pool_rows)
 
 // All rows of a level; for each row and column, the row and column of the coarser level that it lies
 // in is given. Of the fine head, the last channels are enough.
@@ -88,28 +88,23 @@ static void mix_rows(Long first, Long last, Planes coarse, Planes level, View<co
         }
     }
 }
-EXPORT_ALONE(denoise_mix, mix_rows)
+EXPORT(denoise_mix, mix_rows)
 
 // Filtering a row, whose weights may lie anywhere.
 
-template <int CHANNELS> FN void filter_row(const Filter& filter, Long y, float* out) {
-    const auto pixels = PIXELS(auto one, auto edge, Long x) {
-        typedef decltype(one) F;
-        F found[CHANNELS];
-        filter_pixel<F, edge.is>(filter, y, x, found);
-        for (int c = 0; c < CHANNELS; c++) store<F>(out + c * filter.plane + x, found[c]);
-    };
-    struct Inside { enum { is = false }; };
-    struct Edge { enum { is = true }; };
+template <int CHANNELS> ONCE void filter_row(Filter filter, Long y, float* out) {
     const Long left = smaller<Long>(REACH, filter.right);
     const Long right = larger<Long>(left, filter.right - REACH);
-    const bool inside = y >= REACH && y < filter.bottom - REACH;
-    for (Long x = 0; x < left; x++) pixels(float(), Edge(), x);
-    across(left, right, PIXELS(auto one, Long x) {
-        if (inside) pixels(one, Inside(), x);
-        else pixels(one, Edge(), x);
-    });
-    for (Long x = right; x < filter.right; x++) pixels(float(), Edge(), x);
+    const bool wide = right - left >= WIDE, inside = y >= REACH && y < filter.bottom - REACH;
+    AS_IT_IS for (Long n = left; wide && n < right; n += WIDE) {
+        const Long x = n <= right - WIDE ? n : right - WIDE;
+        if (inside) filter_inside<Wide, CHANNELS>(filter, y, x).store_at(out + x, filter.plane);
+        else filter_edge<Wide, CHANNELS>(filter, y, x).store_at(out + x, filter.plane);
+    }
+    AS_IT_IS for (Long x = 0; x < filter.right; x++) {
+        if (wide && x == left) x = right;
+        filter_edge<float, CHANNELS>(filter, y, x).store_at(out + x, filter.plane);
+    }
 }
 
 FN void filter_planes(const Planes& mixed, const float* weights, Long step, Long y,
@@ -134,7 +129,7 @@ static void filter_rows(Long first, Long last, Planes mixed, View<const float, 4
         filter_planes(mixed, heads(0, 0, y), step, y, area, filtered);
     }
 }
-EXPORT_ALONE(denoise_filter, filter_rows)
+EXPORT(denoise_filter, filter_rows)
 
 // The same at the finest level, whose weights are made of codes, two rows at a time.
 static Status filter_codes_rows(Long first, Long last, Planes mixed, Codes codes, Factors factors,
@@ -153,15 +148,15 @@ static Status filter_codes_rows(Long first, Long last, Planes mixed, Codes codes
     }
     return DONE;
 }
-EXPORT_ALONE(denoise_filter_codes, filter_codes_rows)
+EXPORT(denoise_filter_codes, filter_codes_rows)
 
 // Filtered colour times reflectance: a border of repeated pixels lies around it, and rows and columns
 // of the part that lie beyond the frame repeat its last ones.
 
-static void remodulate_planes(Long first, Long last, const Planes& filtered,
-                              const View<const float, 3>& factor, const Places& part_rows,
-                              const Places& part_columns, const NewPlanes& radiance, Long plane,
-                              bool with_factor) {
+ONCE void remodulate_planes(Long first, Long last, const Planes& filtered,
+                            const View<const float, 3>& factor, const Places& part_rows,
+                            const Places& part_columns, const NewPlanes& radiance, Long plane,
+                            bool with_factor) {
     const Long h = part_rows.size[0], w = part_columns.size[0];
     const Long top = Long(part_rows.at[0]);
     const Long held = Long(part_columns.at[w - 1]) - Long(part_columns.at[0]) + 1;
@@ -176,7 +171,7 @@ static void remodulate_planes(Long first, Long last, const Planes& filtered,
                 const F light = load<F>(from + x);
                 store<F>(out + x, with_factor ? light * pick<F, 3>(by + 3 * x + c) : light);
             });
-            for (Long x = held; x <= w; x++) out[x] = out[held - 1];
+            AS_IT_IS for (Long x = held; x <= w; x++) out[x] = out[held - 1];
             out[-1] = out[0];
         }
     }
@@ -186,7 +181,7 @@ static void remodulate_rows(Long first, Long last, Planes filtered, View<const f
                             Places part_rows, Places part_columns, NewPlanes radiance) {
     remodulate_planes(first, last, filtered, factor, part_rows, part_columns, radiance, 0, true);
 }
-EXPORT_ALONE(denoise_remodulate, remodulate_rows)
+EXPORT(denoise_remodulate, remodulate_rows)
 
 // Filtered colour, then the same times reflectance.
 static void remodulate_both_rows(Long first, Long last, Planes filtered, View<const float, 3> factor,
@@ -194,4 +189,4 @@ static void remodulate_both_rows(Long first, Long last, Planes filtered, View<co
     remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 0, false);
     remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 3, true);
 }
-EXPORT_ALONE(denoise_remodulate_both, remodulate_both_rows)
+EXPORT(denoise_remodulate_both, remodulate_both_rows)

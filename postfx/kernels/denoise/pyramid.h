@@ -32,18 +32,39 @@ struct Filter {
     Long bottom, right;
 };
 
-template <class F, bool EDGE, int CHANNELS>
-FN void filter_pixel(const Filter& filter, Long y, Long x, F (&found)[CHANNELS]) {
-    F total = F(TINY);
-    F sums[CHANNELS] = {};
-    UNROLL for (int tap = 0; tap < KERNEL; tap++) {
-        const Long v = y + tap / SIDE - REACH, u = x + tap % SIDE - REACH;
-        if (EDGE && (v < 0 || v >= filter.bottom || u < 0 || u >= filter.right)) continue;
-        const F weight = load<F>(filter.weights + tap * filter.step + x);
+// Sums over taps, of which each row's lie in the picture.
+template <class F, int CHANNELS> struct Filtered {
+    F total = F(TINY), sums[CHANNELS] = {};
+
+    FN_MEMBER void add(const Filter& filter, Long y, Long x, Long row, Long column) {
+        const float* planes = filter.planes + (y + row - REACH) * filter.line + x + column - REACH;
+        const F weight = load<F>(filter.weights + (row * SIDE + column) * filter.step + x);
         total += weight;
         UNROLL for (int c = 0; c < CHANNELS; c++) {
-            sums[c] += weight * load<F>(filter.planes + c * filter.plane + v * filter.line + u);
+            sums[c] += weight * load<F>(planes + c * filter.plane);
         }
     }
-    UNROLL for (int c = 0; c < CHANNELS; c++) found[c] = sums[c] / total;
+    FN_MEMBER void store_at(float* out, Long plane) const {
+        UNROLL for (int c = 0; c < CHANNELS; c++) store<F>(out + c * plane, sums[c] / total);
+    }
+};
+// All of them, and those of the rows and columns that the picture has.
+template <class F, int CHANNELS>
+FN Filtered<F, CHANNELS> filter_inside(const Filter& filter, Long y, Long x) {
+    Filtered<F, CHANNELS> found;
+    UNROLL for (int tap = 0; tap < KERNEL; tap++) found.add(filter, y, x, tap / SIDE, tap % SIDE);
+    return found;
+}
+template <class F, int CHANNELS>
+FN Filtered<F, CHANNELS> filter_edge(const Filter& filter, Long y, Long x) {
+    const Long top = larger<Long>(REACH - y, 0);
+    const Long bottom = smaller<Long>(filter.bottom - y + REACH, SIDE);
+    const Long width = Of<F>::COUNT;  // a vector is not beside the left or the right edge
+    const Long left = width > 1 ? 0 : larger<Long>(REACH - x, 0);
+    const Long right = width > 1 ? SIDE : smaller<Long>(filter.right - x + REACH, SIDE);
+    Filtered<F, CHANNELS> found;
+    AS_IT_IS for (Long row = top; row < bottom; row++) {
+        AS_IT_IS for (Long i = left; i < right; i++) found.add(filter, y, x, row, i);
+    }
+    return found;
 }

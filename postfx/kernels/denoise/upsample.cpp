@@ -71,6 +71,10 @@ static void fill_guides(const Guides& guides, Long y, Long left, const Rooms& ro
     }
 }
 
+FN void fill(float* row, Long count, float value) {
+    for (Long x = 0; x < count; x++) row[x] = value;
+}
+
 // The render pixels' reflectance in a row of the output, planar.
 static void fill_own(const float* factor, const Rooms& rooms) {
     for (Long x = 0; x < rooms.width; x++) {
@@ -130,10 +134,9 @@ FN void blend_row(const Rooms& rooms, const float* warped, float darken, float* 
     });
 }
 
-// Any of the kernels: fill(y, at) makes the guides of a row. Where the output is known to have the
-// render's SIZE, a compiler need not make the other ways.
-enum Size { ANY_SIZE, SAME_SIZE };
-template <Reflectance BY, Size SIZE, class Fill>
+// Any of the kernels: fill(y, at) makes the guides of a row. Where it is the render pixels' OWN, the
+// output has the render's size, and a compiler need not make the other ways.
+template <Reflectance BY, class Fill>
 FN Status upsample_rows(Long first, Long last, const Upsample& given, const Heads& heads,
                         const Rooms& rooms, const Fill& fill) {
     const Window& window = given.window;
@@ -146,16 +149,16 @@ FN Status upsample_rows(Long first, Long last, const Upsample& given, const Head
         const Distances down = distances_of(given.params.jitter_y - at.offset);
         fill(y, at);
         const Row row = row_of_samples(given, rooms, heads.row(at.index), y, at.index);
-        if (SIZE != SAME_SIZE && doubles) {
+        if (BY != OWN && doubles) {
             const Weights sides[2] = {
                 weights_of(down, distances_of(given.params.jitter_x + 0.25f)),
                 weights_of(down, distances_of(given.params.jitter_x - 0.25f)),
             };
-            if constexpr (SIZE != SAME_SIZE) row_at_corners<BY>(row, sides, int(y % 2), rooms);
+            if constexpr (BY != OWN) row_at_corners<BY>(row, sides, int(y % 2), rooms);
         } else if (BY != GUIDED && same) {
             const Weights weights = weights_of(down, distances_of(given.params.jitter_x));
             if constexpr (BY != GUIDED) row_at_centres<BY>(row, weights, rooms);
-        } else if constexpr (SIZE != SAME_SIZE) {
+        } else if constexpr (BY != OWN) {
             row_anywhere<BY>(row, down, lean_of(at.offset), rooms);
         }
         blend_row(rooms, given.warped(n), 1.0f / given.params.exposure, given.history(n), given.output(n));
@@ -165,11 +168,10 @@ FN Status upsample_rows(Long first, Long last, const Upsample& given, const Head
 
 // Reflectance.
 
-template <Size SIZE>
 static Status plain_rows(Long first, Long last, const Upsample& given, const Heads& heads) {
     const Rooms rooms(given.output.size[1], given.moved.size[1]);
     if (!rooms || !heads) return NO_MEMORY;
-    return upsample_rows<NONE, SIZE>(first, last, given, heads, rooms, [](Long, Place) {});
+    return upsample_rows<NONE>(first, last, given, heads, rooms, [](Long, Place) {});
 }
 
 // Radiance without reflectance and with it: the first gets the guides' as far as they are trusted.
@@ -183,7 +185,7 @@ static Status guided_rows(Long first, Long last, const Upsample& given, const Gu
     for (Long x = 0; x < rooms.width; x++) {
         rooms.place()[x] = place_of(column_of(window, x, rooms.columns), w);
     }
-    return upsample_rows<GUIDED, ANY_SIZE>(first, last, given, heads, rooms, [&](Long y, Place at) {
+    return upsample_rows<GUIDED>(first, last, given, heads, rooms, [&](Long y, Place at) {
         fill_guides(guides, y, Long(window.out_left), rooms);
         fill_trust(guides.trust, place_of(at, h), rooms.place(), rooms.width, rooms.guide(3));
     });
@@ -191,17 +193,16 @@ static Status guided_rows(Long first, Long last, const Upsample& given, const Gu
 
 // The same planes at the size of the render. Where samples lie at the centres of pixels, those without
 // reflectance are weighed and then multiplied by the pixels' own: texture is not resampled. Else those
-// with it are.
+// with it are, and multiplied by 1.
 static Status unscaled_rows(Long first, Long last, Upsample given, const Picture& factor,
                             const Heads& heads) {
-    if (given.params.jitter_x != 0 || given.params.jitter_y != 0) {
-        given.radiance.at = given.radiance(3);
-        return plain_rows<SAME_SIZE>(first, last, given, heads);
-    }
+    const bool resampled = given.params.jitter_x != 0 || given.params.jitter_y != 0;
+    if (resampled) given.radiance.at = given.radiance(3);
     const Rooms rooms(given.output.size[1], given.moved.size[1]);
     if (!rooms || !heads) return NO_MEMORY;
-    return upsample_rows<OWN, SAME_SIZE>(first, last, given, heads, rooms, [&](Long, Place at) {
-        fill_own(factor(at.index), rooms);
+    if (resampled) fill(rooms.guide(0), 3 * rooms.width, 1.0f);
+    return upsample_rows<OWN>(first, last, given, heads, rooms, [&](Long, Place at) {
+        if (!resampled) fill_own(factor(at.index), rooms);
     });
 }
 
@@ -212,7 +213,7 @@ static Status unscaled_rows(Long first, Long last, Upsample given, const Picture
 #define GIVEN {{radiance, moved, past, *params, *window, keep}, warped, output, history}
 
 static Status plain(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, LAST) {
-    return plain_rows<ANY_SIZE>(first, last, GIVEN, Heads(fine));
+    return plain_rows(first, last, GIVEN, Heads(fine));
 }
 EXPORT_ALONE(denoise_upsample, plain)
 
@@ -267,7 +268,7 @@ EXPORT_ALONE(denoise_blend_picture, picture)
 
 static Status plain_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
                           Scaling scaling, BETWEEN, LAST) {
-    return plain_rows<ANY_SIZE>(first, last, GIVEN, Heads(codes, factors, scaling));
+    return plain_rows(first, last, GIVEN, Heads(codes, factors, scaling));
 }
 EXPORT_ALONE(denoise_upsample_codes, plain_codes)
 

@@ -95,7 +95,7 @@ static void history_rows(Long first, Long last, Field motion, Field depth, Field
         }
     }
 }
-EXPORT(reverse_extend_history, history_rows)
+EXPORT_ALONE(reverse_extend_history, history_rows)
 
 // The later frames' share of a result, back / (ahead + back), averaged over 3x3.
 static void share_rows(Long first, Long last, Lengths ahead, Lengths back, NewPlane share) {
@@ -114,7 +114,7 @@ static void share_rows(Long first, Long last, Lengths ahead, Lengths back, NewPl
         }
     }
 }
-EXPORT(reverse_share_by_length, share_rows)
+EXPORT_ALONE(reverse_share_by_length, share_rows)
 
 // Premultiplied RGBA: colour times a share, which is also its alpha. The share is interpolated
 // between pixel centres, so that its coarser pixels are not visible.
@@ -142,4 +142,4 @@ static void premultiply_rows(Long first, Long last, Plane share, Field colour,
         }
     }
 }
-EXPORT(reverse_premultiply, premultiply_rows)
+EXPORT_ALONE(reverse_premultiply, premultiply_rows)
