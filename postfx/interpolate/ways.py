@@ -85,10 +85,14 @@ def compare_ways(before: np.ndarray, after: np.ndarray, flow: np.ndarray, motion
         return None
     now, still = (picture[::step, ::step][inside] for picture in (after, before))
     one, other = (bilinear(before, across[inside], down[inside]) for across, down in places)
-    found = [float(np.minimum(np.abs(first - last), MOST_APART).mean())
-             for first, last in ((one, now), (other, now), (still, now), (one, other))]
+    misfits = (_misfit(one, now), _misfit(other, now), _misfit(still, now), _misfit(one, other))
     apart, moving = (np.abs(one).max(-1)[inside] > APART for one in (fields[0] - fields[1], fields[1]))
-    return Ways(*found, float(apart.mean()), float((apart & moving).mean()))
+    return Ways(*misfits, float(apart.mean()), float((apart & moving).mean()))
+
+
+def _misfit(one: np.ndarray, other: np.ndarray) -> float:
+    """Mean difference of toned light."""
+    return float(np.minimum(np.abs(one - other), MOST_APART).mean())
 
 
 def _ramp(value: float, ends: tuple[float, float]) -> float:
