@@ -6,6 +6,7 @@ the new one, never half of it.
 
 from __future__ import annotations
 
+import codecs
 import ctypes
 import errno
 import hashlib
@@ -42,16 +43,27 @@ _numbers = count()
 
 
 def read_text(path: Path, most: int = MAX_BYTES) -> str:
-    """Read a UTF-8 file of at most `most` bytes, without the byte order mark that Windows' editors put first.
+    """Read a UTF-8 file of at most `most` bytes, without the byte order mark that Windows' editors put first; also one
+    of UTF-16 or UTF-32 with such a mark, as PowerShell writes.
 
     Raises OSError for a larger file and for anything that is not a regular file, such as a pipe or an endless device;
-    ValueError when the content is not UTF-8.
+    ValueError when the content is none of these.
     """
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "it is not a file", str(path))
     if path.stat().st_size > most:
         raise OSError(errno.EFBIG, f"it has more than {most} bytes", str(path))
-    return path.read_text(encoding="utf-8-sig")
+    content = path.read_bytes()
+    encoding = next((name for mark, name in _MARKS.items() if content.startswith(mark)), "utf-8")
+    try:
+        return content.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"byte {error.start + 1} is no {encoding.upper()}: save it as UTF-8") from None
+
+
+_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32",
+          codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+"""Encodings by the mark that a file begins with, the longer marks first."""
 
 
 def parse_json(text: str | bytes) -> Any:

@@ -19,6 +19,8 @@ from postfx.system import host_floats
 LOG = logging.getLogger("postfx")
 """What the library has to tell on the way; it is silent unless a program sets up logging."""
 LOG.addHandler(logging.NullHandler())
+TOLD = LOG.getChild("told")
+"""Part of it: what commands pass on to their users, each kind once. The first argument is the file or frame."""
 
 
 class Role(StrEnum):

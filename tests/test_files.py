@@ -108,3 +108,18 @@ def test_another_error_waits_for_the_last_task_and_is_not_hidden() -> None:
         behind.put(lambda: (time.sleep(0.05), done.append(1)))
         raise KeyboardInterrupt
     assert done == [1]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32"])
+def test_texts_with_a_mark_of_their_encoding_are_read(tmp_path, encoding):
+    """PowerShell writes UTF-16 where a command's output goes into a file."""
+    path = tmp_path / "a.toml"
+    path.write_bytes("# é\r\n[run]\r".encode(encoding))
+    assert files.read_text(path) == "# é\n[run]\n"
+
+
+@pytest.mark.parametrize("content", [b"\xe9", b"\xff\xfea", b"\xef\xbb\xbf\xff"])
+def test_other_encodings_are_refused_with_the_fix(tmp_path, content):
+    (tmp_path / "a.toml").write_bytes(content)
+    with pytest.raises(ValueError, match="save it as UTF-8"):
+        files.read_text(tmp_path / "a.toml")

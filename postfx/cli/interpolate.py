@@ -50,10 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Interpolate a sequence; returns the exit code."""
     from postfx.cli.summary import FrameProgress
+    from postfx.cli.told import Told
 
     INTERPOLATE.refuse_conflicts(arguments)
     job = Interpolation(arguments)
-    with FrameProgress(job.total) as progress:
+    with FrameProgress(job.total) as progress, Told(lambda text: progress.note(f"warning  {text}")):
         progress.start(0)
         for number, reason in job.run(progress.advance):
             progress.note(f"frame {number}: {reason}")

@@ -49,6 +49,7 @@ from postfx.cli.summary import (
     guides_in,
     warn_of_budget,
 )
+from postfx.cli.told import Told
 from postfx.compiled.library import CompileWatch
 from postfx.cuts import CutDetector
 from postfx.errors import OptionError, PostfxError, WriteError
@@ -261,7 +262,8 @@ class Job:
         progress = FrameProgress(len(self.sequence), self._arguments.quiet)
         self._watch = CompileWatch(progress.note_compilation)
         try:
-            with progress, self._watch, Stop(progress.note) as stop, self._open_run() as run:
+            with progress, self._watch, Stop(progress.note) as stop, self._open_run() as run, \
+                    Told(lambda text: self._tell([text], progress.note)):
                 self._warnings = run.warnings
                 self.skips += run.skips
                 self._announce(run, progress)

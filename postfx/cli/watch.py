@@ -61,6 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(arguments: argparse.Namespace) -> int:
     """Watch until the end; returns the exit code."""
     from postfx.cli.interruptions import Stop
+    from postfx.cli.told import Told
     from postfx.errors import ReadError, SequenceError
 
     def tell(line: str) -> None:
@@ -69,7 +70,7 @@ def execute(arguments: argparse.Namespace) -> int:
     folder = Path(arguments.input) if Path(arguments.input).is_dir() else Path(arguments.input).parent
     if arguments.input.endswith("/") and not Path(arguments.input).is_dir() or not folder.is_dir():
         raise SequenceError(f"{arguments.input}: there is no such folder: make it, or check its name")
-    with Stop(tell) as stop:
+    with Stop(tell) as stop, Told(lambda text: tell(f"warning  {text}")):
         arrivals = Arrivals(arguments, stop.check, tell)
         job: Job | None = None
         while (number := arrivals.next()) is not None:

@@ -52,6 +52,7 @@ from postfx.interpolate.timing import (
     keep_sparks,
     settle_sparks,
 )
+from postfx.interpolate.ways import Ways, compare_ways
 from postfx.motion.flow import (
     bring_to_time,
     consistent_motion,
@@ -62,7 +63,6 @@ from postfx.motion.flow import (
     tone,
 )
 from postfx.planes import is_same_plane, largest_bits_of
-from postfx.sampling import bilinear, is_inside
 from postfx.system import at_once, begin
 from postfx.temporal.reverse_motion import invert_motion
 
@@ -74,13 +74,6 @@ LEAST_OF_CELLS = 64
 """Pixels along a picture's shorter side from which paths are found for cells of 2x2 pixels."""
 LEAST_SEARCHED = 240
 """Pixels along the shorter side of the picture in which motion is estimated, at least where there are as many."""
-WORSE = 1.03
-"""Misfit of vectors, in that of the flow, beyond which they are not used: those of half the motion have 1.05 and more,
-of the wrong sign 2, right ones up to 0.94."""
-LOOKED_AT = 100
-"""Rows or columns of the shorter side in which the misfit is measured."""
-MOST_APART, LEAST_INSIDE = 0.1, 0.25
-"""Difference of toned light up to which a pixel counts, and the share of pixels that must lead into the picture."""
 MOST_LIGHT = np.float32(1e18)
 """Light that is counted at most: sums of its squares are finite."""
 LONGEST = 64
@@ -201,7 +194,7 @@ class Between:
     @cached_property
     def _longest(self) -> np.float32:
         """Pixels beyond which a vector stands for none, as some renderers write it."""
-        return np.float32(4 * max(self._size))
+        return np.float32(max(self._size))
 
     @cached_property
     def _grid(self) -> tuple[int, int]:
@@ -318,11 +311,24 @@ class Between:
     @cached_property
     def _has_vectors(self) -> bool:
         """Whether the frame after has motion that fits the pictures at least as well as what is estimated."""
+        ways = self._ways
+        return Role.MOTION in self.after if ways is None else ways.vectors_fit
+
+    @cached_property
+    def _ways(self) -> Ways | None:
+        """How well vectors and estimated motion explain the pictures; None where nothing is to be compared."""
         if Role.MOTION not in self.after or not self._flow:
-            return Role.MOTION in self.after
+            return None
         motion, _ = self._cells_of(self.after)
-        flow = self._enlarge(self._estimated[1]) / np.float32(self._scale)
-        return not fits_better(*self._small, flow, motion)
+        return compare_ways(*self._small, self._enlarge(self._estimated[1]), motion)
+
+    @cached_property
+    def _share_of_mean(self) -> float:
+        """How much the mean of both frames counts, 0 to 1: all where one of them is black, as nothing shows how its
+        light changed."""
+        if not all(picture.any() for picture in self._pictures):
+            return 1.0
+        return 0.0 if self._ways is None else self._ways.share_of_mean
 
     @cached_property
     def _has_depth(self) -> bool:
@@ -477,6 +483,8 @@ class Between:
         planes = Planes(self._lit(t), self._known, self._depths, *stacks)
         mixture = Mixture(t, self._scale, float(self._level), self._masked, back)
         picture, mixed, taken, motion = compose(cells, planes, mixture, Role.MOTION in after)
+        if self._share_of_mean > 0:
+            picture, mixed = self._with_mean(t, picture, self._pictures), self._with_mean(t, mixed, stacks[0])
         if self._pictures is self._colours:
             follow_light((self._earlier, before, after, self._later), t, picture)
         if self._sparks is not None and marks is not None:
@@ -491,6 +499,13 @@ class Between:
             made[Role.OVERLAY] = self._overlay_at(t)
         return ({role: plane for role, plane in made.items() if isinstance(role, Role)},
                 {name: plane for name, plane in made.items() if not isinstance(name, Role)})
+
+    def _with_mean(self, t: float, made: np.ndarray, pair: Pair) -> np.ndarray:
+        """Planes of a time with as much of both frames' mean as counts."""
+        one, other = pair
+        mean = one + np.float32(t) * (other - one)
+        mixed: np.ndarray = made + np.float32(self._share_of_mean) * (mean - made)
+        return mixed
 
     def _overlay_at(self, t: float) -> np.ndarray:
         one, other = self._overlays
@@ -556,21 +571,6 @@ class Interpolator:
         """Likewise, at a time in the unit of `push`, counted from the first frame's delta on."""
         first, last = self._times
         return self.frame((time - first) / (last - first), number)
-
-
-def fits_better(before: np.ndarray, after: np.ndarray, flow: np.ndarray, motion: np.ndarray) -> bool:
-    """Whether grey pictures differ less along the flow than along motion, over those pixels of the later one that both
-    lead into the earlier one, each up to MOST_APART."""
-    step = max(2, min(after.shape) // LOOKED_AT)
-    y, x = np.mgrid[:after.shape[0]:step, :after.shape[1]:step]
-    places = [(x + one[::step, ::step, 0], y + one[::step, ::step, 1]) for one in (flow, motion)]
-    inside = np.logical_and(*(is_inside(before, *place) for place in places))  # false for NaN
-    if inside.sum() < LEAST_INSIDE * inside.size:
-        return False
-    now = after[::step, ::step][inside]
-    found = [np.abs(bilinear(before, across[inside], down[inside]) - now) for across, down in places]
-    by_flow, by_motion = (float(np.minimum(apart, MOST_APART).mean()) for apart in found)
-    return by_motion > WORSE * by_flow
 
 
 def _without_lost(motion: np.ndarray, longest: np.float32) -> np.ndarray:

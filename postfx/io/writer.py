@@ -17,7 +17,7 @@ import OpenImageIO as oiio
 from postfx.colour.displays import SRGB, Display, parse_display
 from postfx.errors import OutputExistsError, WriteError
 from postfx.files import is_utf8, make_printable, output_file, with_slashes
-from postfx.frame import LINEAR, LOG, Frame, Role
+from postfx.frame import LINEAR, TOLD, Frame, Role
 from postfx.io.encoder import cut_pieces, encode_all, encode_pixel, tag_codes
 from postfx.io.exr.container import COMPRESSIONS, can_compress
 from postfx.io.exr.passthrough import enlargement_of, select_attributes, set_attributes
@@ -30,6 +30,7 @@ from postfx.io.quantisation import Dither, quantise
 from postfx.io.sequence import Sequence
 from postfx.io.wholeness import has_end
 from postfx.io.windows import OutputWindows, Pixels, crop, output_windows
+from postfx.planes import largest_bits_of
 from postfx.version import __version__
 
 LINEAR_FORMATS = (".exr",)
@@ -43,6 +44,9 @@ _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": 
 SRGB_DISPLAY = parse_display("srgb")
 LEAST_FACTOR = np.float32(1 / 256)
 """Black in 8 bits: what light that reached a place without colour is divided by."""
+MOST_HALF, BEYOND_HALF = 65504, np.float32(65520)
+"""The largest half float, and the least number that is not rounded to it."""
+_BEYOND_HALF = int(BEYOND_HALF.view(np.uint32))
 ERROR_LAYER = "error.V"
 OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 
@@ -133,9 +137,9 @@ def write_frame(
         raise WriteError(f"{path}: {path.suffix[1:].upper()} holds one view: write EXR, or choose one with --view NAME")
     exact = any(source.exact for name, source in frame.part_sources.items() if name in frame.parts)
     half = half and not exact if bits is None else bits == 16
-    pictures = []
+    pictures, cut = [], set[str]()
     for view in (frame, *frame.views.values()):
-        convert = _code_pixels(view, path, Dither(dither), bits) if shown else _linear_pixels(view, half)
+        convert = _code_pixels(view, path, Dither(dither), bits) if shown else _linear_pixels(view, half, cut)
         windows = output_windows(view)
         convert = crop(convert, windows.area, windows.display if shown else windows.data)
         spec = _spec(view, windows, convert(slice(0, 1)), path)
@@ -144,21 +148,29 @@ def write_frame(
             set_attributes(spec, {"postfx:version": __version__, **(provenance or {})})
         pictures.append(Picture(spec, convert, view))
     keep = not shown and enlargement_of(frame) is None if keep is None else keep  # only EXR keeps anything
-    is_lossy = not shown and compression.startswith(_LEVELLED)
-    if is_lossy and any(np.isnan(view[Role.COLOUR]).any() for view in (frame, *frame.views.values())):
-        LOG.warning("%s: pixels that are NaN become black by %s compression", path, compression)
+    altered = [np.zeros(0, np.bool_) if shown else _altered(picture.spec, compression) for picture in pictures]
+    names = {name for picture, channels in zip(pictures, altered, strict=True)
+             for name, is_altered in zip(picture.spec.channelnames, channels, strict=False) if is_altered}
+    names |= {f"{view}.{name}" for view in frame.views for name in names}
+    lost: list[bool] = []
     with output_file(path) as temporary:
-        for limit in _LIMITS if is_lossy else _LIMITS[:1]:
-            limited = [_limited(picture, limit) for picture in pictures]
+        for limit in _LIMITS if names else _LIMITS[:1]:
+            limited = [_limited(picture, channels, limit, lost) if names else picture
+                       for picture, channels in zip(pictures, altered, strict=True)]
             if shown:
                 _write_display(temporary, path.suffix.lower(), limited[0], relax)
             else:
                 write_exr(temporary, limited, relax, keeps_rest=keep)
-            if not is_lossy or _is_finite(temporary):
+            if not names or _is_finite(temporary, names):
                 break
+    if lost:
+        TOLD.warning("%s: pixels that are NaN become black by %s compression", path, compression)
     if limit is not None:
-        LOG.warning("%s: light above %d is cut there, as %s compression would make it infinite", path, limit,
-                    compression)
+        TOLD.warning("%s: light above %d is cut there, as %s compression would make it infinite", path, limit,
+                     compression)
+    elif cut:
+        TOLD.warning("%s: %s above %d is cut there, as half floats hold no more: give 32 bits (--bits 32) to keep it",
+                     path, " and ".join(sorted(cut)), MOST_HALF)
     return path
 
 
@@ -201,36 +213,52 @@ def write_channels(
 
 
 _LIMITS = (None, 60000, 52000, 40000, 24000)
-"""Light at which pictures are cut, one after the other, until DWA compression, which errs by some percent of what is
+"""Light at which pictures are cut, one after the other, until lossy compression, which errs by some percent of what is
 around a pixel, leaves all within half floats."""
+_CODING, _ROUNDING = (*_LEVELLED, "lj2k"), "b44"
+"""Compressions that alter colours, and how those are called that alter all half floats."""
 _CODED = ("r", "g", "b", "y", "ry", "by")
-"""Last words of the names of channels that DWA compression alters."""
+"""Last words of the names of colours' channels."""
 
 
-def _limited(picture: Picture, limit: float | None) -> Picture:
-    """A picture whose light is cut at a limit; other channels stay."""
-    if limit is None:
-        return picture
-    coded = [name.lower().rpartition(".")[2] in _CODED for name in picture.spec.channelnames]
+def _word(name: str) -> str:
+    """The last word of a channel's name."""
+    return name.lower().rpartition(".")[2]
+
+
+def _altered(spec: oiio.ImageSpec, compression: str) -> np.ndarray:
+    """Which channels a compression alters so that NaN is lost, and infinity or NaN may be made of large light."""
+    if compression.startswith(_ROUNDING):
+        return np.full(spec.nchannels, spec.format == oiio.HALF)
+    return np.array([compression.startswith(_CODING) and _word(name) in _CODED for name in spec.channelnames])
+
+
+def _limited(picture: Picture, altered: np.ndarray, limit: float | None, lost: list[bool]) -> Picture:
+    """A picture whose altered channels are cut at a limit and are 0 in place of NaN, of which `lost` is told."""
 
     def convert(rows: slice) -> np.ndarray:
         pixels = picture.convert(rows)
-        return np.where(coded & (np.abs(pixels) > limit), np.copysign(pixels.dtype.type(limit), pixels), pixels)
+        if (is_nan := altered & np.isnan(pixels)).any():
+            lost.append(True)
+            pixels = np.where(is_nan, pixels.dtype.type(0), pixels)
+        if limit is None:
+            return pixels
+        return np.where(altered & (np.abs(pixels) > limit), np.copysign(pixels.dtype.type(limit), pixels), pixels)
 
     return picture._replace(convert=convert)
 
 
-def _is_finite(path: Path) -> bool:
-    """Whether the light in an EXR file is finite; NaN counts, as it is not made by compression."""
+def _is_finite(path: Path, names: set[str]) -> bool:
+    """Whether channels of these names are finite in an EXR file."""
     image = oiio.ImageInput.open(str(path))
     if image is None:
         raise OSError(reason_of(oiio.geterror))
     found, part = True, 0
     while found and image.seek_subimage(part, 0):
-        names = [name.lower().rpartition(".")[2] in _CODED for name in image.spec().channelnames]
-        first, last = (names.index(True), len(names) - names[::-1].index(True)) if any(names) else (0, 0)
+        known = [name in names for name in image.spec().channelnames]
+        first, last = (known.index(True), len(known) - known[::-1].index(True)) if any(known) else (0, 0)
         pixels = image.read_image(part, 0, first, last, oiio.HALF) if last and not image.spec().deep else None
-        found = pixels is None or not np.isinf(pixels.reshape(-1, last - first)[:, names[first:last]]).any()
+        found = pixels is None or bool(np.isfinite(pixels.reshape(-1, last - first)[:, known[first:last]]).all())
         part += 1
     image.close()
     return found
@@ -256,17 +284,27 @@ def _display_of(frame: Frame) -> Display | None:
     return None if frame.encoding in LINEAR else parse_display(frame.encoding)
 
 
-def _linear_pixels(frame: Frame, half: bool) -> Pixels:
-    display = _display_of(frame)
+def _linear_pixels(frame: Frame, half: bool, cut: set[str]) -> Pixels:
+    """Rows of light as they are written. cut: gets the names of planes of which half floats hold less than there is."""
+    display, names = _display_of(frame), _names_of_planes(frame)
 
     def convert(rows: slice) -> np.ndarray:
         colour = frame[Role.COLOUR][rows]
         colour = light_of(colour, display) if display else colour
         pixels = _with_parts(_with_layer(_with_alpha(colour, frame, rows), frame, rows), frame, rows)
         pixels = np.concatenate([pixels, frame[Role.ERROR][rows]], axis=2) if Role.ERROR in frame else pixels
+        if half and largest_bits_of(pixels) >= _BEYOND_HALF:
+            beyond = (np.abs(pixels) >= BEYOND_HALF).any((0, 1))
+            cut.update(name for name, is_beyond in zip(names, beyond, strict=True) if is_beyond)
         return to_halves(pixels) if half else pixels
 
     return convert
+
+
+def _names_of_planes(frame: Frame) -> list[str]:
+    """What each channel that is written belongs to."""
+    layers = [name.rpartition(".")[0] or name for name in _further_channels(frame)]
+    return [*("light",) * 3, *("alpha",) * (Role.ALPHA in frame), *layers]
 
 
 def _code_pixels(frame: Frame, path: Path, dither: Dither, bits: int | None) -> Pixels:

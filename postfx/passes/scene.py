@@ -13,7 +13,7 @@ from typing import ClassVar, Never
 import numpy as np
 
 from postfx.errors import FrameError, ModelError, PassOptionError
-from postfx.frame import DEPTH_MISS, LOG, Frame, FrameSpec, Role
+from postfx.frame import DEPTH_MISS, TOLD, Frame, FrameSpec, Role
 from postfx.kernels.occlusion import CAMERA, HORIZONS, SMOOTH, SURFACE
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.scene_points import POINT, SceneBox, light_of, points_of
@@ -152,13 +152,13 @@ class Occlusion(_Linear):
         try:
             return device.pipeline_state(Library(), MODEL, {"height": rows, "width": columns})
         except ModelError as error:
-            LOG.warning("pass 'occlusion' takes GTAO alone: %s", error)
+            TOLD.warning("pass 'occlusion' takes GTAO alone: %s", error)
             return None
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
         if frame.world_to_camera is None and not self._told:
-            LOG.warning("frame %s has no camera in its file: occlusion takes normals from depth", frame.number)
+            TOLD.warning("frame %s has no camera in its file: occlusion takes normals from depth", frame.number)
             self._told = True
         self._turn.put(_turn_of(frame))
         for name in self._reads:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from postfx.files import write_atomically
 from postfx.runtime.tensor import Tensor
 
 
@@ -185,7 +186,7 @@ def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None, file: 
         return None
     if folder is not None:
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
-        np.save(folder / file, array)
+        write_atomically(folder / file, lambda output: np.save(output, array))
     planes = as_planes(array)
     values = array.ravel().tolist() if array.size <= MOST_VALUES else None
     pictures = [] if planes is None else [_small(plane, wanted) for plane in planes[: wanted.most]]

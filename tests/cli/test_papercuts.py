@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from postfx.cli.main import main
@@ -58,6 +59,16 @@ def test_interpolation_counts_its_frames(here, capsys):
     assert main(["interpolate", "in/", "-o", "between/"]) == 0
     told = capsys.readouterr().err
     assert "1/5 between/shot.0001.exr (" in told and "5/5 " in told and "frames/s)" in told
+
+
+@pytest.mark.parametrize("words", [RUN, ("interpolate", "in/", "-o", "out/")])
+def test_what_writing_loses_is_said_once(here, write_exr, capsys, words):
+    for number in (1, 2, 3):
+        write_exr(f"in/shot.{number:04d}.exr", {name: np.full((32, 48), 1e5 * number) for name in "RGB"})
+    assert main([*words, *(("--no-denoise",) if words == RUN else ())]) == 0
+    told = capsys.readouterr().err.splitlines()
+    said = [line for line in told if "light above 65504 is cut there" in line]
+    assert len(set(said)) == 1 and "out/shot.0001.exr" in said[0]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

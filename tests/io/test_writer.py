@@ -310,6 +310,40 @@ def test_light_near_the_largest_half_stays_finite_in_lossy_compression(tmp_path,
     assert "as " + compression + " compression would make it infinite" in caplog.text
 
 
+@pytest.mark.parametrize("compression", ["b44", "b44a", "lj2k"])
+def test_other_lossy_compressions_make_nothing_infinite_and_say_what_they_lose(tmp_path, caplog, compression):
+    """B44 rounds the largest half floats of any channel up, and JPEG 2000 made light of 43264 of NaN."""
+    rng = np.random.default_rng(6)
+    light = np.full((64, 96, 3), 0.2, np.float32)
+    light[rng.random((64, 96)) < 0.1] = 65504
+    light[20:40, 20:40] = 60000 + 5500 * rng.random((20, 20, 3))
+    light[50, 50] = np.nan
+    if not writer.can_compress(compression):
+        pytest.skip("OpenImageIO does not write it")
+    write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: light}, parts={"sky": -light}), compression=compression)
+    found = oiio.ImageBuf(str(tmp_path / "a.exr")).get_pixels(oiio.FLOAT)
+    assert np.isfinite(found).all() and np.abs(found[50, 50]).max() < 0.3
+    assert np.abs(found[20:40, 20:40]).min() > 40000
+    assert "NaN become black by " + compression in caplog.text
+
+
+@pytest.mark.parametrize("compression", ["zip", "none", "pxr24"])
+@pytest.mark.parametrize(("most", "half", "said"), [
+    (1e6, True, "light and sky above 65504 is cut there, as half floats hold no more: give 32 bits"),
+    (np.inf, True, "light and sky above 65504 is cut"), (65520.0, True, "light and sky above 65504 is cut"),
+    (65519.0, True, ""), (65504.0, True, ""), (1e6, False, ""),
+])
+def test_light_that_half_floats_cannot_hold_is_said(tmp_path, caplog, compression, most, half, said):
+    light = np.full((32, 48, 3), 0.5, np.float32)
+    light[3, 4, 1], light[5, 6] = most, np.nan
+    frame = Frame({Role.COLOUR: light}, parts={"sky": -light})
+    write_frame(tmp_path / "a.exr", frame, half=half, compression=compression)
+    assert caplog.text.count("above") == bool(said) and said in caplog.text
+    found = oiio.ImageBuf(str(tmp_path / "a.exr")).get_pixels(oiio.FLOAT)[3, 4]
+    kept = min(most, 65504.0) if half else most
+    np.testing.assert_array_equal(found[[1, 4]], [kept, -kept])
+
+
 def test_light_that_survives_lossy_compression_is_not_cut(tmp_path, caplog):
     light = np.full((32, 32, 3), 30000, np.float32)
     write_frame(tmp_path / "a.exr", Frame({Role.COLOUR: light}), compression="dwaa")
