@@ -183,7 +183,7 @@ class Pipeline:
         for text in self.noticed if self._checks else ():
             LOG.warning("frame %d: %s", frame.number, text)
         for role, pixels in self.bad_pixels.items():
-            LOG.warning("frame %d: %d pixels of plane '%s' were no finite numbers and were repaired",
+            LOG.warning("frame %d: %d pixels of AOV '%s' were no finite numbers and were repaired",
                         frame.number, pixels, role)
         LOG.debug("frame %d: milliseconds by pass: %s", frame.number, self.timings)
         views = {name: self._process_view(name, view.copy_with(reset=view.reset or self.cut))

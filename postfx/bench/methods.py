@@ -78,9 +78,9 @@ OTHERS = (
     Method("oidn-fast", "OIDN fast", "oidn", quality="fast"),
     Method("oidn-balanced", "OIDN balanced", "oidn", quality="balanced"),
     Method("oidn-high", "OIDN high", "oidn", quality="high"),
-    Method("oidn-high-prefiltered", "OIDN high, planes prefiltered", "oidn", quality="high",
+    Method("oidn-high-prefiltered", "OIDN high, AOVs prefiltered", "oidn", quality="high",
            planes="prefiltered"),
-    Method("oidn-high-raw", "OIDN high, planes as noisy", "oidn", quality="high", planes="raw"),
+    Method("oidn-high-raw", "OIDN high, AOVs as noisy", "oidn", quality="high", planes="raw"),
     Method("oidn-high-colour", "OIDN high, colour alone", "oidn", quality="high", planes="none"),
     Method("oidn-high-accumulated", "OIDN high + accumulation", "oidn", quality="high", planes="best",
            accumulated=True),
@@ -159,7 +159,7 @@ def _ablations(method: Method, lost: Collection[str]) -> list[Method]:
 
 def _unfit(method: Method, device: str, guides: bool) -> str | None:
     if method.guides and not guides:
-        return "the frames have no planes at output size"
+        return "the frames have no AOVs at output size"
     if device not in PRECISIONS[method.precision]:
         return f"{method.precision} is for {' and '.join(PRECISIONS[method.precision])}, not for {device}"
     return None

@@ -120,7 +120,7 @@ class Job:
         covered = asked_form() == "whole"  # by a checkerboard, under which nothing is denoised
         is_picture = self.outputs is not None and self.outputs.display
         if is_picture and denoising and denoising.get("error"):
-            raise OptionError(f"{arguments.output}: pictures for a display hold no plane 'error': write EXR, or leave "
+            raise OptionError(f"{arguments.output}: pictures for a display hold no AOV 'error': write EXR, or leave "
                               "error out of --aov")
         native = not is_shown(is_picture, **self._values("look"))  # before any file is opened, which tells of it
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
@@ -439,7 +439,7 @@ class Job:
             if more:
                 names = " and ".join(sorted(map(str, more)))
                 return [f"frame {self.first} has no {names}, frame {number} does: no frame is denoised with it; render "
-                        f"it for all frames, or leave those without it out (--frames)"]
+                        f"it for all frames, or choose frames that have it (--frames)"]
         return []
 
     @cached_property
@@ -580,7 +580,7 @@ class Job:
         if self.sequence.options.parts is None:
             return ()
         if (self.outputs is not None and self.outputs.display) or any(self._values("look").values()):
-            self.skips.append(Skip("parts of the picture", "they are scene-linear, the output is not"))
+            self.skips.append(Skip("light groups and passes", "they are scene-linear, the output is not"))
             self.sequence.options = self.sequence.options.without_parts()
             return ()
         with self.sequence.open(self.first) as files:
