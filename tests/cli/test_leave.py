@@ -77,7 +77,7 @@ def test_what_has_converged_is_told_with_its_reason(postfx, tmp_path):
     seen = postfx("inspect", "in/shot.####.exr", "--json").json
     assert seen["roles"]["variance_of_mean"]["planes"] == ["mse.R", "mse.G", "mse.B"]
     wrong = postfx(*RUN, "--leave", "converged:64spp", "-o", "other/")
-    assert wrong.code == 2 and "'converged:64spp': the number of samples is unknown: render the plane" in wrong.err
+    assert wrong.code == 2 and "'converged:64spp': the number of samples is unknown: render the AOV" in wrong.err
 
 
 def test_errors_come_before_the_first_frame(postfx, ids, tmp_path):
