@@ -23,8 +23,8 @@ MOST_OF_ALL = 45_000
 PAGES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md",
          *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").rglob("*.md"))))
 OF_ARTISTS = ("howto/index.md", "howto/tasks.md", "howto/troubleshooting.md", "howto/faq.md", "howto/video.md",
-              "howto/oidn.md", "howto/hosts.md", "howto/doctor.md", "howto/masks.md", "howto/parts.md", "howto/report.md",
-              "howto/render_more.md", "howto/interpolation.md", "gallery.md")
+              "howto/oidn.md", "howto/hosts.md", "howto/doctor.md", "howto/masks.md", "howto/parts.md",
+              "howto/report.md", "howto/render_more.md", "howto/interpolation.md", "gallery.md")
 """Pages that artists read beside those of `FIRST`, in which an AOV is an AOV."""
 _END = re.compile(r"(?<=[.!?])[)\"'*]*\s+(?=[A-Z0-9'`*(\[{]|--)|(?<=:\*\*)\s+")
 """Where a sentence ends: after its full stop, or after the bold label of a list item."""

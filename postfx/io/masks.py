@@ -194,8 +194,8 @@ class LeftAlone:
             self._numbered.setdefault(self._plane_of(entry, entry.plane), []).append(entry)
             id_range(entry)
         elif not layers:
-            raise StrengthError(f"{self._path}: no Cryptomatte to find '{entry.name}' in: render one, or give ids of an "
-                                f"AOV, such as 7@id or 7-9@id")
+            raise StrengthError(f"{self._path}: no Cryptomatte to find '{entry.name}' in: render one, or give ids of "
+                                "an AOV, such as 7@id or 7-9@id")
         found = [(layer, key) for layer in layers for key in layer.about.ids_of(entry)]
         for layer, key in found:
             self._check_size(layer.name, layer.channels[0])
