@@ -82,9 +82,9 @@ class _Unit:
 
 _SIGNS = {
     (1, 1): ("", ""),
-    (-1, 1): ("motion-sign-x", "x negated"),
-    (1, -1): ("motion-sign-y", "y negated"),
-    (-1, -1): ("motion-sign", "both axes negated"),
+    (-1, 1): ("motion-sign-x", "negated in x"),
+    (1, -1): ("motion-sign-y", "negated in y"),
+    (-1, -1): ("motion-sign", "negated in x and y"),
 }
 _ENCODED = "motion was stored as a colour"
 _UNITS = (
@@ -114,7 +114,7 @@ def _signed(signs: tuple[int, int]) -> Variant:
 
 
 def _swapped(signs: tuple[int, int]) -> Variant:
-    name = "x and y swapped" + (f", then {_SIGNS[signs][1]}" if signs != (1, 1) else "")
+    name = "swapped, x for y" + (f", then {_SIGNS[signs][1]}" if signs != (1, 1) else "")
     also = f", scale = [{signs[0]}, {signs[1]}]" if signs != (1, 1) else ""
     return Variant("motion-axes", name, "the channels are in the order y, x", f'in a profile channels = ["YX"]{also}',
                    lambda motion, size, jitter: motion[..., ::-1] * _pair(signs), 3, change=(True, signs, "pixels"))

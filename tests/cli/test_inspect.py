@@ -84,7 +84,7 @@ def test_an_error_is_2_and_has_evidence_cause_and_fix(inspect, broken_room):
     assert code == 2 and codes(found, "error") == {"motion-sign-y"}
     (finding,) = found["findings"]
     assert set(finding) == {"level", "role", "code", "evidence", "cause", "fix"}
-    assert finding["role"] == "motion" and "y negated" in finding["evidence"]
+    assert finding["role"] == "motion" and "negated in y" in finding["evidence"]
 
 
 def test_values_above_1_are_seen_though_reading_cuts_them_off(inspect, broken_room):
