@@ -68,6 +68,7 @@ from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
+from postfx.passes.denoise import ALONE
 from postfx.passes.denoise.options import output_size
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -309,7 +310,7 @@ class Job:
             pass_ms=self._pass_ms,
             ahead_ms=self._ahead_ms,
             skips=[*self.plan.skips, *self.skips, *self.pipeline.savings()],
-            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *self._noticed,
+            warnings=[*self._remarks(), *self.sequence.warnings, *self._warnings, *self._noticed,
                       *(self._capture.warnings if self._capture else ()),
                       *self._exposure.warnings(),
                       *warn_of_budget(self._arguments.budget, self._pass_ms, self._choices)],
@@ -421,6 +422,11 @@ class Job:
                     behind.put(partial(self._write, run, done, progress))
                 run.end_frame(work.number, behind.wait, stop.is_requested)
                 stop.check()
+
+    def _remarks(self) -> list[str]:
+        """What the passes remark; a picture that is no part of a shot cannot flicker."""
+        is_still = len(self.sequence.present()) == 1
+        return [remark for remark in self.plan.remarks if not (is_still and ALONE in remark)]
 
     def _later_frames(self) -> list[int]:
         """The second, the middle and the last frame."""
