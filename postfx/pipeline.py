@@ -114,6 +114,7 @@ class Pipeline:
         self._run_up = run_up
         self._checks = checks
         self._looker: FirstFrames | None = None
+        self._changed = set[Role]()  # planes that came or went within a shot, which the log was told of
         self._wrap = validate_wrap(wrap)
         self._wide: tuple[Plan, int] | None = None  # the plan for frames with a margin, and the margin
         self._begins = True  # nothing is known of the frames before
@@ -159,7 +160,10 @@ class Pipeline:
             raise
 
     def _process(self, frame: Frame) -> Frame:
+        before = self.plan if not (self._begins or frame.reset) else None
         plan, self.ahead = self._make_plan(frame.spec, self._goes_around(frame)), ()
+        if self._checks and before and before is not plan:
+            self._tell_changed_planes(frame.number, before, plan)
         if not plan.steps:
             self.timings, self.exposure_factor, self.cut, self.bad_pixels, self.noticed = {}, None, False, {}, ()
             return frame
@@ -179,7 +183,7 @@ class Pipeline:
         for text in self.noticed if self._checks else ():
             LOG.warning("frame %d: %s", frame.number, text)
         for role, pixels in self.bad_pixels.items():
-            LOG.warning("frame %d: %d pixels of plane '%s' were no finite numbers and were repaired",
+            LOG.warning("frame %d: %d pixels of AOV '%s' were no finite numbers and were repaired",
                         frame.number, pixels, role)
         LOG.debug("frame %d: milliseconds by pass: %s", frame.number, self.timings)
         views = {name: self._process_view(name, view.copy_with(reset=view.reset or self.cut))
@@ -214,6 +218,19 @@ class Pipeline:
             self._looker = FirstFrames(on_gpu=not self.device.memory.host_visible, copies=True)
         for text in self._looker.look(frame):
             LOG.warning("%s", text)
+
+    def _tell_changed_planes(self, number: int, before: Plan, plan: Plan) -> None:
+        """Tell the log, once for each, of planes that a frame of a shot has and the one before had not, or lacks."""
+        if (before.available.width, before.available.height) != (plan.available.width, plan.available.height):
+            return
+        come, gone = {*plan.planes} - {*before.planes}, {*before.planes} - {*plan.planes}
+        for roles, text in ((come, "has {}, which the frame before had not"),
+                            (gone, "lacks {}, which the frame before had")):
+            new = sorted(map(str, roles - self._changed))
+            if new:
+                self._changed |= roles
+                LOG.warning("frame %d %s: its history begins anew; give it in all frames of a shot or in none", number,
+                            text.format(" and ".join(new)))
 
     def _process_view(self, name: str, frame: Frame) -> Frame:
         result = (own := self._of_view(name))(frame)

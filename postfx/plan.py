@@ -136,7 +136,7 @@ def make_plan(passes: Sequence[Pass], spec: FrameSpec) -> Plan:
         steps.append(step)
         current = step.reflection.output
     planes, guides = _find_needed(spec, steps), _needed_guides(spec, steps)
-    skipped += [Skip(f"plane '{role}'", "no pass reads it") for role in spec.roles if role not in planes]
+    skipped += [Skip(f"AOV '{role}'", "no pass reads it") for role in spec.roles if role not in planes]
     skipped += _unread_guides(spec, guides)
     read = {name for step in steps for name in step.reflection.parts}
     parts = tuple(name for name in spec.part_names if name in read)
@@ -183,7 +183,7 @@ def _check(step: Step, spec: FrameSpec) -> None:
     if missing:
         dropped = "an earlier pass dropped it" if spec.has(missing[0]) else "the frame does not have it"
         fix = "render it, name it in a profile, or leave the pass out"
-        raise MissingPlaneError(f"pass '{step.name}' needs plane '{missing[0]}', but {dropped}: {fix}")
+        raise MissingPlaneError(f"pass '{step.name}' needs AOV '{missing[0]}', but {dropped}: {fix}")
     output, writes = step.reflection.output, step.reflection.writes
     kept = [role for role in output.roles if role not in writes]
     invented = [role for role in kept if not step.input.has(role)]

@@ -210,7 +210,7 @@ def test_explain(device):
 
 
 def test_missing_plane(device):
-    with pytest.raises(MissingPlaneError, match="'enlarge' needs plane 'depth'"):
+    with pytest.raises(MissingPlaneError, match="'enlarge' needs AOV 'depth'"):
         Pipeline([toys.Enlarge()], device)(make_frame())
 
 

@@ -46,7 +46,7 @@ def test_order_is_kept_and_specs_are_handed_on():
 def test_only_needed_planes_are_read():
     plan = make_plan([toys.Sum()], SPEC)
     assert plan.planes == (Role.COLOUR, Role.ALPHA) and plan.input.roles == plan.planes
-    assert Skip("plane 'depth'", "no pass reads it") in plan.skips
+    assert Skip("AOV 'depth'", "no pass reads it") in plan.skips
     assert make_plan([toys.Enlarge()], SPEC).planes == (Role.COLOUR, Role.ALPHA, Role.DEPTH)
 
 
@@ -89,12 +89,12 @@ def test_the_same_pass_twice_gets_a_number():
 
 
 def test_missing_plane_names_pass_plane_and_mend():
-    with pytest.raises(MissingPlaneError, match="pass 'enlarge' needs plane 'depth', but the frame does not have it: "):
+    with pytest.raises(MissingPlaneError, match="pass 'enlarge' needs AOV 'depth', but the frame does not have it: "):
         make_plan([toys.Enlarge()], FrameSpec(6, 10, (Role.COLOUR,)))
 
 
 def test_plane_that_an_earlier_pass_dropped():
-    with pytest.raises(MissingPlaneError, match="pass 'enlarge 2' needs plane 'depth', but an earlier pass dropped it"):
+    with pytest.raises(MissingPlaneError, match="pass 'enlarge 2' needs AOV 'depth', but an earlier pass dropped it"):
         make_plan([toys.Enlarge(), toys.Enlarge()], SPEC)
 
 
@@ -127,7 +127,7 @@ def test_text():
         "pass 1  enlarge: reads colour, depth; writes colour; 6x10 -> 12x20",
         "pass 2  encode: reads colour; writes colour; scene-linear -> srgb",
         "skips   double: times is 0",
-        "skips   plane 'normal': no pass reads it",
+        "skips   AOV 'normal': no pass reads it",
         "output  12x20, srgb: colour",
     ]
 

@@ -86,7 +86,7 @@ def test_the_log_tells_what_happens(caplog):
     pipeline(Frame({Role.COLOUR: broken}, number=7))
     told = [(record.levelname, record.getMessage()) for record in caplog.records if record.name == "postfx"]
     assert ("INFO", "ready for frames of 32x24: denoise_upscale") in told
-    assert ("WARNING", "frame 7: 1 pixels of plane 'colour' were no finite numbers and were repaired") in told
+    assert ("WARNING", "frame 7: 1 pixels of AOV 'colour' were no finite numbers and were repaired") in told
     assert "frame 7: milliseconds by pass: {'denoise_upscale': " in "".join(text for _, text in told)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +23,8 @@ MOST_OF_ALL = 45_000
 PAGES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md",
          *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").rglob("*.md"))))
 OF_ARTISTS = ("howto/index.md", "howto/tasks.md", "howto/troubleshooting.md", "howto/faq.md", "howto/video.md",
-              "howto/oidn.md", "howto/hosts.md", "gallery.md")
+              "howto/oidn.md", "howto/hosts.md", "howto/doctor.md", "howto/masks.md", "howto/parts.md",
+              "howto/report.md", "howto/render_more.md", "howto/interpolation.md", "gallery.md")
 """Pages that artists read beside those of `FIRST`, in which an AOV is an AOV."""
 _END = re.compile(r"(?<=[.!?])[)\"'*]*\s+(?=[A-Z0-9'`*(\[{]|--)|(?<=:\*\*)\s+")
 """Where a sentence ends: after its full stop, or after the bold label of a list item."""
@@ -80,6 +82,20 @@ def test_pages_have_short_sentences(page):
 def test_pages_of_artists_have_the_field_s_words(page):
     text = re.sub(r"\]\([^)]*\)", "]", "\n".join(paragraphs((ROOT / page).read_text(encoding="utf-8"))))
     assert re.findall(r"(?i)\b(planes?|doubts?|both ways)\b", re.sub("`[^`]*`", "", text)) == []
+
+
+@pytest.mark.parametrize("module", sorted(
+    path.relative_to(ROOT).as_posix() for folder in ("doctor", "masks", "cli")
+    for path in (ROOT / "postfx" / folder).glob("*.py")))
+def test_what_a_run_says_has_the_field_s_words(module):
+    """Findings, warnings, summaries and refusals; not what comes in code, such as '{plane}' of a file's name."""
+    tree = ast.parse((ROOT / module).read_text(encoding="utf-8"))
+    unsaid = {id(value) for node in ast.walk(tree) if isinstance(node, ast.Expr) for value in ast.walk(node)
+              if value is node.value and isinstance(value, ast.Constant)}
+    said = [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in unsaid
+            and isinstance(node.value, str) and " " in node.value.strip()]
+    texts = [re.sub(r"(far|near) plane|\{plane\}|--planes|'plane'", "", text) for text in said]
+    assert [text for text in texts if re.search(r"(?i)\b(planes?|doubts?|both ways)\b", text)] == []
 
 
 def test_there_is_not_too_much_to_read():

@@ -159,7 +159,7 @@ def _ablations(method: Method, lost: Collection[str]) -> list[Method]:
 
 def _unfit(method: Method, device: str, guides: bool) -> str | None:
     if method.guides and not guides:
-        return "the frames have no planes at output size"
+        return "the frames have no AOVs at output size"
     if device not in PRECISIONS[method.precision]:
         return f"{method.precision} is for {' and '.join(PRECISIONS[method.precision])}, not for {device}"
     return None

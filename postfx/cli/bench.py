@@ -25,7 +25,7 @@ render size and is then enlarged: oidn-fast, oidn-balanced, oidn-high. It takes 
 With oidn-high-prefiltered it denoises them first. With oidn-high-raw it takes them as noisy, and with oidn-high-colour
 it gets none. For oidn-high-accumulated the best of these is accumulated along the motion at output size. Others are
 accumulation and bicubic. The families ours, oidn and plain name all of theirs. --ablations adds 'm-without-roughness'
-and so on for each plane beside the colour, and 'm-without-all'.
+and so on for each AOV beside the colour, and 'm-without-all'.
 """
 EXAMPLES = """\
 examples:
@@ -48,12 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="OUT", help="folder for tables, plots and results")
     parser.add_argument("--stress", action="store_true", help="measure nothing: write values into frames that no "
                         "renderer should (NaN, 40 stops, motion of 1e6 pixels), and check what the networks output")
-    parser.add_argument("--guides", metavar="GUIDES", help="planes at output size, numbered like the frames")
+    parser.add_argument("--guides", metavar="GUIDES", help="AOVs at output size, numbered like the frames")
     parser.add_argument("--frames", metavar="RANGE", help="frames to measure, e.g. 1-8")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile of NOISY (default: found)")
     parser.add_argument("--methods", metavar="LIST", help="names or families, comma-separated (default: all)")
     parser.add_argument("--models", metavar="LIST", help="tags of networks, e.g. s,m,l (default: all there are)")
-    parser.add_argument("--ablations", action="store_true", help="also measure networks without some planes")
+    parser.add_argument("--ablations", action="store_true", help="also measure networks without some AOVs")
     parser.add_argument("--runs", type=parse_positive, default=3, metavar="N", help="runs a method (default: 3)")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to run")
     parser.add_argument("--threads", type=parse_positive, metavar="N", help="CPU threads (default: all usable cores)")

@@ -69,6 +69,7 @@ from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
+from postfx.passes.denoise import ALONE
 from postfx.passes.denoise.options import output_size
 from postfx.passes.display import is_shown, make_display_passes
 from postfx.passes.exposure_tool import asked_form
@@ -121,7 +122,7 @@ class Job:
         covered = asked_form() == "whole"  # by a checkerboard, under which nothing is denoised
         is_picture = self.outputs is not None and self.outputs.display
         if is_picture and denoising and denoising.get("error"):
-            raise OptionError(f"{arguments.output}: pictures for a display hold no plane 'error': write EXR, or leave "
+            raise OptionError(f"{arguments.output}: pictures for a display hold no AOV 'error': write EXR, or leave "
                               "error out of --aov")
         native = not is_shown(is_picture, **self._values("look"))  # before any file is opened, which tells of it
         self.sequence.colours = dataclasses.replace(self.sequence.colours, native=native)
@@ -311,7 +312,7 @@ class Job:
             pass_ms=self._pass_ms,
             ahead_ms=self._ahead_ms,
             skips=[*self.plan.skips, *self.skips, *self.pipeline.savings()],
-            warnings=[*self.plan.remarks, *self.sequence.warnings, *self._warnings, *self._noticed,
+            warnings=[*self._remarks(), *self.sequence.warnings, *self._warnings, *self._noticed,
                       *(self._capture.warnings if self._capture else ()),
                       *self._exposure.warnings(),
                       *warn_of_budget(self._arguments.budget, self._pass_ms, self._choices)],
@@ -424,6 +425,11 @@ class Job:
                 run.end_frame(work.number, behind.wait, stop.is_requested)
                 stop.check()
 
+    def _remarks(self) -> list[str]:
+        """What the passes remark; a picture that is no part of a shot cannot flicker."""
+        is_still = len(self.sequence.present()) == 1
+        return [remark for remark in self.plan.remarks if not (is_still and ALONE in remark)]
+
     def _later_frames(self) -> list[int]:
         """The second, the middle and the last frame."""
         others = [number for number in self.sequence.numbers if number > self.first and self.sequence.holds(number)]
@@ -441,7 +447,7 @@ class Job:
             if more:
                 names = " and ".join(sorted(map(str, more)))
                 return [f"frame {self.first} has no {names}, frame {number} does: no frame is denoised with it; render "
-                        f"it for all frames, or leave those without it out (--frames)"]
+                        f"it for all frames, or choose frames that have it (--frames)"]
         return []
 
     @cached_property
@@ -582,7 +588,7 @@ class Job:
         if self.sequence.options.parts is None:
             return ()
         if (self.outputs is not None and self.outputs.display) or any(self._values("look").values()):
-            self.skips.append(Skip("parts of the picture", "they are scene-linear, the output is not"))
+            self.skips.append(Skip("light groups and passes", "they are scene-linear, the output is not"))
             self.sequence.options = self.sequence.options.without_parts()
             return ()
         with self.sequence.open(self.first) as files:

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Merge renders of the same frames that differ in their seed, as one render with the samples of all. Each pixel is
-weighted by its samples, which headers tell (Cycles, pbrt, postfx:spp), a plane of sample counts, or --samples.
+weighted by its samples, which headers tell (Cycles, pbrt, postfx:spp), an AOV of sample counts, or --samples.
 
 Colours, alpha, reflectances, light groups and noise estimates are averaged; normals of unit length keep it. Ids and
 Cryptomattes, depth, positions and motion come from the first render that has the pixel. Samples and render times in
 the headers are added up. A render of a region counts only there: by its data window, its sample counts, or the
-rectangle that holds its light. Where samples then differ, a plane of counts is written, by which the result can be
+rectangle that holds its light. Where samples then differ, an AOV of counts is written, by which the result can be
 merged again.
 """
 EXAMPLES = """\
@@ -153,5 +153,5 @@ class MergeJob:
             return None
         files = render.files(number)
         if set(files) != {""}:
-            raise OptionError(f"{render.pattern}: has a file for each plane: merge the files of each plane")
+            raise OptionError(f"{render.pattern}: has a file for each AOV: merge the files of each AOV")
         return files[""]

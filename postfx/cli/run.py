@@ -20,11 +20,11 @@ JPEG and TIFF output is tone-mapped and encoded for a display.
 """
 MORE = """\
 INPUT is a file name with ####, %04d, @@@@ or $F4 for the frame number, a name with wildcards (quoted or not), a folder
-that holds one sequence, or files of one sequence. Where every plane has a file of its own, put {plane} where their
+that holds one sequence, or files of one sequence. Where every AOV has a file of its own, put {plane} where their
 names differ: shot_{plane}.####.exr. Where every view has, put {view}, or %V as Nuke does, into INPUT and OUTPUT.
 
 Albedo, normal, roughness and depth may come at output size as guides, which make edges exact. They may lie in files of
-their own (--guides), or be planes of INPUT that are larger than the colour. The output then has their size.
+their own (--guides), or be AOVs of INPUT that are larger than the colour. The output then has their size.
 """
 EXAMPLES = """\
 examples:

@@ -309,7 +309,7 @@ def _asks_error(names: str) -> bool:
     return _ERROR in _words(names)
 
 
-PARTS = Section("masks and parts of the picture", (
+PARTS = Section("masks, light groups and passes", (
     Option(flag="--leave", metavar="NAMES", sets="sequence.leave", excludes=_FOR_DENOISER,
            help="what not to denoise: objects or materials of a Cryptomatte, ids of an AOV, auto for a noise-free "
            "sky, converged:0.01 for pixels whose error is at most 1 %%, or converged:256spp. Add =S to denoise "

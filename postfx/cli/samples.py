@@ -24,11 +24,11 @@ perfect render, on the display: 'visible' (36 dB), 'draft' (30 dB), 'fine' (42 d
 With --budget the samples go where they lower the error of the shot most, or its FLIP if that is the quality.
 
 INPUT are the renders before denoising. The error of the denoised frames is measured where --halves gives as many
-samples again with another seed: each half, denoised, is compared with the other. Else it comes from a plane 'error' in
+samples again with another seed: each half, denoised, is compared with the other. Else it comes from an AOV 'error' in
 INPUT or --error, or is guessed from what the denoiser takes away, often wrong by a factor of two. Frames are denoised
 for it, unless --denoised names the result.
 
-OUTPUT are EXR files with the planes samples.Y (more samples), error.Y (expected squared error now) and after.Y (with
+OUTPUT are EXR files with the channels samples.Y (more samples), error.Y (expected squared error now) and after.Y (with
 these samples). --json prints rectangles to render for a farm or a script.
 """
 EXAMPLES = """\
@@ -50,7 +50,7 @@ SAMPLES = Options(Section("", (
            help="more samples a pixel at most, in the mean of the shot (default: as many as the quality needs)"),
     Option(flag="--tile", metavar="N", type=parse_positive, default=32, help="side of a tile in pixels (default: 32)"),
     Option(flag="--error", metavar="FRAMES", is_file=True,
-           help="files with the plane 'error', numbered like INPUT (default: INPUT and --denoised)"),
+           help="files with the AOV 'error', numbered like INPUT (default: INPUT and --denoised)"),
     Option(flag="--halves", metavar="FRAMES", is_file=True,
            excludes={"--error": "{flag} and --error both tell the error: give one of them"},
            help="INPUT rendered again with another seed and as many samples: both together are the shot"),
@@ -243,10 +243,10 @@ class SamplesJob:
                 error = estimate_error(frame, denoised[0], self._meter(frame))
                 self.sources.add("an estimate from the noise")
             elif error.shape != frame[Role.COLOUR].shape[:2]:
-                raise MissingPlaneError(f"{frame.source}: has another size than the plane 'error' of its frame: write "
+                raise MissingPlaneError(f"{frame.source}: has another size than the AOV 'error' of its frame: write "
                                         "that at the render's size")
             else:
-                self.sources.add("the plane 'error'")
+                self.sources.add("the AOV 'error'")
             yield frame, denoised[-1], error
 
     def _read_error(self, frame: Frame) -> np.ndarray | None:
@@ -258,7 +258,7 @@ class SamplesJob:
         paths = [path for place in places for path in place.files(frame.number).values()]
         found = next((error for error in map(read_error, paths) if error is not None), None)
         if found is None and self._errors:
-            raise MissingPlaneError(f"{paths[0]}: no plane 'error': write it with 'postfx run --aov error', or leave "
+            raise MissingPlaneError(f"{paths[0]}: no AOV 'error': write it with 'postfx run --aov error', or leave "
                                     "--error out")
         return found
 

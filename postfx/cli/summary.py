@@ -66,7 +66,7 @@ class Explanation:
         lines = [f"input   {self.sequence.pattern}: {frames}{describe_views(self.sequence)}", str(self.plan)]
         lines += [f"skips   {item.what}: {item.why}" for item in self.skips]
         if alone := self._find_left_alone():
-            lines.append(f"leaves  of frame {first}: {alone}")
+            lines.append(f"masks   of frame {first}: {alone}")
         if self.exposure.is_applied:
             one = f"frame {first} by " if len(self.exposure.multipliers) == 1 else ""
             known = self.exposure.multipliers
@@ -398,7 +398,7 @@ class Report:
         lines += [f"guides   {_guides_text(self.guides)}"] if self.guides else []
         lines += [f"cuts     found at {_list_numbers(self.cuts)} (--cuts says otherwise)"] if self.cuts else []
         if self.coverage.frames:
-            lines.append(f"left     {self.coverage}")
+            lines.append(f"masks    {self.coverage}")
         if self.fireflies.light:
             lines.append(f"clamped  {self.fireflies}")
         lines += self._fault_lines()
@@ -429,12 +429,12 @@ class Report:
     def _skipped_by_reason(self) -> list[tuple[str, str]]:
         """Planes together, since they share a reason; of frames the first few."""
         planes = [
-            item.what.removeprefix("plane ").strip("'") for item in self.skips if item.what.startswith("plane ")
+            item.what.removeprefix("AOV ").strip("'") for item in self.skips if item.what.startswith("AOV ")
         ]
         frames = [item for item in self.skips if item.what.startswith("frame ")]
-        passes = [item for item in self.skips if not item.what.startswith(("plane ", "guide ", "frame "))]
+        passes = [item for item in self.skips if not item.what.startswith(("AOV ", "guide ", "frame "))]
         rows = [(item.what, item.why) for item in passes + frames[:SHOWN_FRAMES]]
-        rows += [("planes " + ", ".join(planes), "no pass reads them")] if planes else []
+        rows += [("AOVs " + ", ".join(planes), "no pass reads them")] if planes else []
         more = len(frames) - SHOWN_FRAMES
         return rows + ([(f"{more} more frames", "likewise")] if more > 0 else [])
 

@@ -11,8 +11,9 @@ from postfx.cli.run_options import FILES, INPUT, RUN
 
 DESCRIPTION = """\
 Adapt the network s to a shot. It learns from clean renders of a few frames (--references), or, without any, from a
-second render of the same frames with another seed (--halves): each is the target of the other. A part is held back to
-measure the gain. Where the part does not gain at least 0.1 dB, nothing is written, and the exit code is 1.
+second render of the same frames with another seed (--halves): each is the target of the other. A quarter of the
+targets is held back to measure the gain. Where they do not gain at least 0.1 dB, nothing is written, and the exit code
+is 1.
 
 The result is FILE.onnx and its card, which 'postfx run --model FILE.onnx' takes at the render's size. Needs a checkout
 of postfx and its extra 'train', which brings PyTorch; runs on the CPU, or on a GPU where there is one.

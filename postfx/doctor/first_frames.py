@@ -101,8 +101,9 @@ class FirstFrames:
             return f"{evidence}; likely: {one.cause}; fix: {fix}"
         if one.code.startswith("missing-"):
             return f"AOV {one.role}: {evidence}; fix: {fix}"
-        names = self._channels.get(Role(one.role), "no name")
-        return f"AOV {one.role} ({names}), frame {frame.number}: {evidence}; likely: {one.cause}; fix: {fix}"
+        names = self._channels.get(Role(one.role))
+        of_file = f" ({names})" if names else ""
+        return f"AOV {one.role}{of_file}, frame {frame.number}: {evidence}; likely: {one.cause}; fix: {fix}"
 
 
 def _size(frame: Frame) -> tuple[int, int]:

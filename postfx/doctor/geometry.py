@@ -321,7 +321,8 @@ DEPTH_KINDS = (
               "write linear depth: near far / (far - value (far - near)), or give --depth device,near=...,far=...",
               lambda d, cosine: 1 / (1 - d), True),
     *(DepthKind("depth-normalised", f"(depth - near) / (far - near) with near about {near:.2g} times far",
-                "depth was scaled to 0..1 between two planes", "write depth in scene units: near + value (far - near), "
+                "depth was scaled to 0..1 between a near and a far distance",
+                "write depth in scene units: near + value (far - near), "
                 "or give --depth normalised,near=...,far=...", _unscale(near), True) for near in NEAR_PLANES),
     DepthKind("depth-reversed", "1 - depth / far (near 1, far 0)", "depth scaled to 0..1 with near white",
               "write depth in scene units: (1 - value) far, or give --depth normalised-reversed,near=0,far=...",

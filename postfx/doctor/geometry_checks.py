@@ -268,7 +268,7 @@ def check_albedo_above_one(material: Material) -> Iterator[Finding]:
         share = percent(plane > 1.001)
         if share > 0:
             evidence = f"{share:.3g} % of the pixels above 1, largest {plane.max():.3g}"
-            cause = "the plane shows a light or a reflection, holds lit colour instead of reflectance, or is scaled"
+            cause = "the AOV shows a light or a reflection, holds lit colour instead of reflectance, or is scaled"
             fix = "write reflectance without light; values above 1 are cut off"
             level = error if share > MOST_ABOVE else warning if share > 0.1 else info
             yield level(role, "albedo-above-one", evidence, cause, fix)
@@ -288,7 +288,7 @@ def check_albedo_noisy(material: Material) -> Iterator[Finding]:
         evidence = f"noise of {level:.3g} in the flattest quarter of the picture, mean {plane[used].mean():.3g}; "
         evidence += f"{shared:.2f} correlated with the colour's noise"
         lit = shared > SAME_NOISE and not _is_averaged(material.middle)
-        cause = "the plane holds lit colour" if lit else "depth of field, motion blur or rough layers in the plane"
+        cause = "the AOV holds lit colour" if lit else "depth of field, motion blur or rough layers in the AOV"
         fix = "write reflectance without light" if lit else "write it at the first hit, or with more samples"
         yield warning(role, "albedo-is-lit" if lit else "albedo-noisy", evidence, cause, fix)
 
@@ -317,7 +317,7 @@ def check_albedo_encoded(material: Material) -> Iterator[Finding]:
     if contrast and contrast.squares >= LEAST_SQUARES and contrast.upper > TOO_STEEP:
         evidence = words.format(contrast.upper, contrast.squares)
         if darkest > ENCODED_DARK:
-            yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded", f"{evidence}; and its darkest part is {darkest:.2f}",
+            yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded", f"{evidence}; and its darkest area is {darkest:.2f}",
                           "albedo stored with the sRGB curve, as a picture", "write it linear, or decode it: an "
                           "encoded albedo leaves textures in the noise")
         else:
@@ -388,7 +388,7 @@ def check_roughness_kind(material: Material) -> Iterator[Finding]:
         return
     kind, certain = fit.best, fit.certainty
     if kind.code and certain > 0:
-        evidence = (f"specular albedo is explained with an error of {fit.errors[kind]:.3g} if the plane is "
+        evidence = (f"specular albedo is explained with an error of {fit.errors[kind]:.3g} if the AOV is "
                     f"{kind.name}, of {fit.as_it_is:.3g} as linear roughness ({fit.pixels} pixels); "
                     f"certainty {certain:.0%}")
         yield (error if certain >= 0.5 else warning)(Role.ROUGHNESS, kind.code, evidence, kind.cause, kind.fix)

@@ -80,7 +80,7 @@ def _of_variant(material: Material, shots: list[PairScores], best: Variant) -> I
         best, code, cause, fix = scaled, scaled.code, scaled.cause, scaled.fix
     if code == "motion-jitter" and not _follows_jitter(shots):
         code, cause = "jitter-unused", "the header gives a jitter that the samples do not have"
-        fix = "leave postfx:jitter out where samples are spread over the pixel"
+        fix = "remove postfx:jitter where samples are spread over the pixel"
     role = "sequence" if code.startswith("jitter") else Role.MOTION
     yield error(role, code, _evidence(shots, best), cause, _with_lines(material, best, fix))
 
@@ -183,7 +183,7 @@ def check_motion_zero(material: Material) -> Iterator[Finding]:
         if evidence := _by_camera(warped) or _by_picture(warped):
             cause = "written without motion: the vector pass is off, or the previous camera was not kept"
             yield error(Role.MOTION, "motion-zero", f"frame {warped.now.number}: all motion is 0, {evidence}", cause,
-                        "render real motion or leave the plane out")
+                        "render real motion, or delete the AOV")
             return
 
 
@@ -323,7 +323,7 @@ def check_cut_unmarked(material: Material) -> Iterator[Finding]:
         return
     if all(w.unrelated < NOISE_ONLY for w in new):
         yield info(Role.MOTION, "motion-untested", "sign, axes and scale of the motion cannot be told",
-                   "the planes are mostly noise, as in fog or thick fur", "render them with more samples")
+                   "the AOVs are mostly noise, as in fog or thick fur", "render them with more samples")
         return
     scores = ", ".join(f"frame {w.now.number}: {min(w.scores.values()) / w.unrelated:.2f}" for w in new[:4])
     evidence = f"the previous frame, warped by any variant of the motion, fits hardly better than chance (1): {scores}"

@@ -98,8 +98,8 @@ class Convention(NamedTuple):
                              (scale[0], scale[1]))
 
     def __str__(self) -> str:
-        words = {"pixels": "pixels", "uv": "parts of the image (uv)", "ndc": "-1..1 of the image (ndc)",
-                 "width": "parts of the image's width"}
+        words = {"pixels": "pixels", "uv": "fractions of the image (uv)", "ndc": "-1..1 of the image (ndc)",
+                 "width": "fractions of the image's width"}
         way = {(1, 1): "", (-1, 1): ", x the other way", (1, -1): ", y the other way", (-1, -1): ", both the other way"}
         times = f" times {self.factor:.3g}" if abs(self.factor - 1) > 1e-6 else ""
         still = f", {-self.offset:g} is still" if self.offset else ""

@@ -82,15 +82,15 @@ class _Unit:
 
 _SIGNS = {
     (1, 1): ("", ""),
-    (-1, 1): ("motion-sign-x", "x negated"),
-    (1, -1): ("motion-sign-y", "y negated"),
-    (-1, -1): ("motion-sign", "both axes negated"),
+    (-1, 1): ("motion-sign-x", "negated in x"),
+    (1, -1): ("motion-sign-y", "negated in y"),
+    (-1, -1): ("motion-sign", "negated in x and y"),
 }
 _ENCODED = "motion was stored as a colour"
 _UNITS = (
     *(_Unit(f"{factor:.3g} times as long", f"pixels of a picture {1 / factor:.3g} times as large were written", factor)
       for factor in SCALES),
-    _Unit("in parts of the image (uv 0..1)", "parts of the image were written instead of pixels", unit="uv"),
+    _Unit("as a fraction of the image (uv 0..1)", "fractions of the image were written instead of pixels", unit="uv"),
     _Unit("in -1..1 of the image (ndc)", "normalised device coordinates were written instead of pixels", unit="ndc"),
     _Unit("in uv around 0.5, or ndc as (v + 1) / 2", _ENCODED, 1.0, "uv", -0.5, "motion-encoded"),
     _Unit("in uv as (v + 1) / 2", _ENCODED, 2.0, "uv", -0.5, "motion-encoded"),
@@ -114,7 +114,7 @@ def _signed(signs: tuple[int, int]) -> Variant:
 
 
 def _swapped(signs: tuple[int, int]) -> Variant:
-    name = "x and y swapped" + (f", then {_SIGNS[signs][1]}" if signs != (1, 1) else "")
+    name = "swapped, x for y" + (f", then {_SIGNS[signs][1]}" if signs != (1, 1) else "")
     also = f", scale = [{signs[0]}, {signs[1]}]" if signs != (1, 1) else ""
     return Variant("motion-axes", name, "the channels are in the order y, x", f'in a profile channels = ["YX"]{also}',
                    lambda motion, size, jitter: motion[..., ::-1] * _pair(signs), 3, change=(True, signs, "pixels"))
@@ -169,7 +169,7 @@ VARIANTS = (
               "negate y of postfx:jitter"),
     _jittered((-2, 0), "jitter-sign", "right, with x of the header's jitter negated",
               "x of the header's jitter shifts the projection, not the sample", "negate x of postfx:jitter"),
-    _rescaled_jitter("in parts of the image (uv)", "multiply postfx:jitter by the picture's size",
+    _rescaled_jitter("as a fraction of the image (uv)", "multiply postfx:jitter by the picture's size",
                      lambda size: (size[0], size[1])),
     _rescaled_jitter("in -1..1 of the image (ndc)", "multiply postfx:jitter by half the picture's size",
                      lambda size: (size[0] / 2, size[1] / 2)),
@@ -178,7 +178,7 @@ VARIANTS = (
     _rescaled_jitter("twice as long", "multiply postfx:jitter by 2: it counts from -0.5 to 0.5", lambda size: (2, 2)),
     _rescaled_jitter("half as long", "divide postfx:jitter by 2: it counts from -0.5 to 0.5", lambda size: (0.5, 0.5)),
     Variant("motion-worse-than-none", "0 everywhere", "vectors of another frame, or in a unit that is not known",
-            "write the renderer's motion vectors for this frame, or leave the plane out",
+            "write the renderer's motion vectors for this frame, or delete the AOV",
             lambda motion, size, jitter: motion * 0, 5),
 )
 """All variants; the first is the stored motion."""

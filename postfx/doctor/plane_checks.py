@@ -58,13 +58,13 @@ def check_hit_distance_unused(material: Material) -> Iterator[Finding]:
     lacking += ["postfx:fovX"] if first.fov_x is None else []
     if lacking:
         yield info(Role.SPECULAR_HIT_DISTANCE, "hit-distance-unused", f"no {', '.join(lacking)}",
-                   "planes or headers that are not written", "write them: then the history follows reflections")
+                   "AOVs or headers that are not written", "write them: then the history follows reflections")
 
 
 def check_missing_planes(material: Material) -> Iterator[Finding]:
     """Colour, which is required, and planes that would improve the result."""
     if Role.COLOUR not in material.first:
-        yield error(Role.COLOUR, "missing-colour", "no colour plane was found", "another name or layer",
+        yield error(Role.COLOUR, "missing-colour", "no colour AOV was found", "another name or layer",
                     "name it in a profile (--profile FILE.toml)")
     for role, cost in COSTS.items():
         if role in material.first or role in material.first.guides:
@@ -101,8 +101,8 @@ def check_finite_values(material: Material) -> Iterator[Finding]:
         if share == 0:
             continue
         evidence = f"{values.nan} NaN, {infinite} infinite of {values.total} values ({share:.3g} %)"
-        cause = "division by zero in a shader or light, or a plane that was never written"
-        fix = "find the material with a picture of the plane (--pictures); values that are not finite count as 0"
+        cause = "division by zero in a shader or light, or an AOV that was never written"
+        fix = "find the material with a picture of the AOV (--pictures); values that are not finite count as 0"
         yield (error if share > MANY else warning)(role, "not-finite", evidence, cause, fix)
 
 
@@ -118,7 +118,7 @@ def check_uniform_planes(material: Material) -> Iterator[Finding]:
             wrong = role is Role.NORMAL or (role is Role.DIFFUSE_ALBEDO and not _is_metal(material.middle))
             yield (error if wrong else info)(role, "black", evidence, "the pass is switched off or was never written"
                                              if wrong else "switched off, or nothing in view has such a value",
-                                             "render it, or leave the plane out: a black plane misleads")
+                                             "render it, or delete the AOV: a black one misleads")
         elif frames and not black and len(spread) == (1 if role is not Role.NORMAL else 0):
             yield _constant(role, f"{next(iter(spread)):.4g}", len(frames))
         elif frames and not black and role is Role.NORMAL and all(_is_one_value(frame[role]) for frame in frames):
@@ -129,7 +129,7 @@ def check_uniform_planes(material: Material) -> Iterator[Finding]:
 def _constant(role: Role, value: str, frames: int) -> Finding:
     level = info if role in (Role.ROUGHNESS, Role.SPECULAR_ALBEDO) else warning
     return level(role, "constant", f"{value} everywhere in {frames} frame{'s' * (frames > 1)}",
-                 "a default instead of the pass, or an override material", "render it, or leave the plane out")
+                 "a default instead of the pass, or an override material", "render it, or delete the AOV")
 
 
 def _shows_surfaces(frame: Frame) -> bool:
@@ -195,13 +195,13 @@ def check_misplaced_planes(material: Material) -> Iterator[Finding]:
     frozen = _find_frozen(frames)
     for role in frozen:
         yield error(role, "other-frame", f"identical in frames {_list([f.number for f in frames])}, while other "
-                    "planes change", "the plane of one frame was written to all", "write each frame's own plane")
+                    "AOVs change", "the AOV of one frame was written to all", "write each frame's own AOV")
     for role, placement in compare_edges(frames).items():
         flip = max(placement.flips, key=lambda name: placement.flips[name])
         if placement.flips[flip] > FLIP_FITS * max(placement.own, 0) + FLIP_LEAST:
-            yield error(role, "flipped", f"its outlines fit those of the other planes with a correlation of "
+            yield error(role, "flipped", f"its outlines fit those of the other AOVs with a correlation of "
                         f"{placement.own:.2f}, but {placement.flips[flip]:.2f} when {flip}", "rows or columns written "
-                        "the other way round", "write all planes from the upper left corner")
+                        "the other way round", "write all AOVs from the upper left corner")
         elif role not in frozen and len(placement.at) >= LEAST_FRAMES:
             yield from _of_other_frame(role, placement.frames, [frames[at].number for at in placement.at])
 
@@ -212,10 +212,10 @@ def _of_other_frame(role: Role, table: np.ndarray, numbers: list[int]) -> Iterat
     off = other.max(1) > np.maximum(np.maximum(OTHER_FITS * own, own + OTHER_LEAST), SHARED)
     if off.mean() > MOST_OFF and len(set(source[off])) >= 2:
         fits = ", ".join(f"frame {numbers[source[at]]} holds frame {numbers[at]}'s" for at in np.nonzero(off)[0][:3])
-        evidence = (f"by its outlines {fits} (correlation {other.max(1)[off].mean():.2f}, with its own frame's planes "
+        evidence = (f"by its outlines {fits} (correlation {other.max(1)[off].mean():.2f}, with its own frame's AOVs "
                     f"{own[off].mean():.2f})")
-        yield error(role, "other-frame", evidence, "the plane was written a frame late or early, or frames are in "
-                    "another order", "write each frame's own plane")
+        yield error(role, "other-frame", evidence, "the AOV was written a frame late or early, or frames are in "
+                    "another order", "write each frame's own AOV")
 
 
 def _find_frozen(frames: Sequence[Frame]) -> list[Role]:
@@ -240,7 +240,7 @@ def check_negative_values(material: Material) -> Iterator[Finding]:
         share = 100 * values.negative / values.total
         lowest = float(np.nanmin(material.first[role]))
         evidence = f"{values.negative} of {values.total} values below 0 ({share:.3g} %), least {lowest:.3g}"
-        cause = "a filter with negative lobes, a conversion of primaries, or a plane of another meaning"
+        cause = "a filter with negative lobes, a conversion of primaries, or an AOV of another meaning"
         level = error if share > MANY else warning if share > 0.1 else info
         yield level(role, "negative", evidence, cause, "render with a positive pixel filter, and linear Rec.709")
 
@@ -280,7 +280,7 @@ def check_colour_clipped(material: Material) -> Iterator[Finding]:
 def check_readable_frames(material: Material) -> Iterator[Finding]:
     """A later frame that cannot be read."""
     if material.unreadable:
-        yield error("sequence", "unreadable", material.unreadable, "a broken file, or one without the others' planes",
+        yield error("sequence", "unreadable", material.unreadable, "a broken file, or one without the others' AOVs",
                     "render or copy this frame again")
 
 
@@ -405,8 +405,8 @@ def check_opaque_samples(material: Material) -> Iterator[Finding]:
         evidence = (f"{share:.3g} % of the pixels differ from the colour by more than a tenth, and {alike:.3g} % of "
                     "neighbours in the same direction")
         yield warning(Role.OPAQUE_COLOUR, "opaque-samples", evidence, "rendered with other samples than the colour, so "
-                      "the reactive mask holds noise", "write both colours from the same samples, or a plane "
-                      "'reactive'; --reactive none leaves it out")
+                      "the reactive mask holds noise", "write both colours from the same samples, or an AOV "
+                      "'reactive'; --reactive none ignores it")
 
 
 MISMATCH_EV = 2.0
@@ -437,7 +437,7 @@ def check_exposure_mismatch(material: Material) -> Iterator[Finding]:
     metered = {frame.number: ev for frame in frames if (ev := measure(frame[Role.COLOUR])) is not None}
     if frames and not metered:
         yield warning(Role.COLOUR, "colour-black", f"black in all of {len(frames)} frames", "lights off, or another "
-                      "layer's colour", "check that the colour plane is the beauty pass")
+                      "layer's colour", "check that the colour AOV is the beauty pass")
     yield from _jumps(frames, metered)
     headers = {frame.number: frame.exposure for frame in frames if frame.exposure is not None}
     if any(not math.isfinite(value) for value in headers.values()):

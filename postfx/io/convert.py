@@ -80,7 +80,7 @@ def convert(
         if not is_known.all():
             plane[~is_known] = np.nan
     if rule.role is Role.NORMAL and rule.space != "world":
-        assert camera.world_to_camera is not None, "the plane is not used without a worldToCamera header"
+        assert camera.world_to_camera is not None, "the AOV is not used without a worldToCamera header"
         if rule.space == "view" and np.linalg.det(camera.world_to_camera[:3, :3]) < 0:
             plane = plane * np.array([1, 1, -1], np.float32)  # the header's camera looks along +z
         plane = normals_to_world(plane, camera.world_to_camera)
@@ -314,7 +314,7 @@ def missing_error(path: object, names: str, rule: PlaneRule, number: str) -> Pro
     wanted = {"near": "near plane", "far": "far plane", "fov": "horizontal field of view"}[number]
     key = "fov_x" if number == "fov" else number
     return ProfileError(
-        f"{path}: plane 'depth' ({names}) is {meaning} and its {wanted} is not known: "
+        f"{path}: AOV 'depth' ({names}) is {meaning} and its {wanted} is not known: "
         f"give {number}= after --depth, {key} under [camera] in a profile, or the header postfx:{_header(key)}"
     )
 

@@ -331,7 +331,7 @@ class FrameFiles:
         if self.guides is None or role not in self.guides.planes:
             path = self.guides.path if self.guides else self.path
             raise MissingPlaneError(
-                f"{path}: no plane '{role}' at output size, unlike frames before: render it so"
+                f"{path}: no AOV '{role}' at output size, unlike frames before: render it so"
             )
         return self.guides.planes[role]
 

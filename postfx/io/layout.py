@@ -341,7 +341,7 @@ def drop_smaller_planes(layout: Layout) -> None:
     for role in smaller:
         del layout.planes[role]
     if smaller:
-        layout.warnings.append(f"planes {', '.join(smaller)} are of the render before it was enlarged: not read")
+        layout.warnings.append(f"AOVs {', '.join(smaller)} are of the render before it was enlarged: not read")
 
 
 def planes_that_guide(layout: Layout, path: Path) -> dict[Role, Match]:
@@ -350,7 +350,7 @@ def planes_that_guide(layout: Layout, path: Path) -> dict[Role, Match]:
     found = {role: layout.planes[role] for role in OUTPUT_SIZE_ROLES if role in layout.planes}
     if not found:
         raise MissingPlaneError(
-            f"{path}: holds none of the planes that guide ({', '.join(OUTPUT_SIZE_ROLES)}) by profile "
+            f"{path}: holds none of the AOVs that guide ({', '.join(OUTPUT_SIZE_ROLES)}) by profile "
             f"{layout.profile.name}: render one of them, or name it in a profile (--profile FILE.toml)"
         )
     _check_one_size(path, found)

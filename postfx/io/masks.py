@@ -148,7 +148,7 @@ class LeftAlone:
                   *(ERROR_READS if self._basis else ())}
         self.reads = tuple(role for role in layout.planes if role in looked)
         if self._auto() and not {Role.DEPTH, Role.NORMAL, Role.ALPHA} & set(self.reads):
-            raise StrengthError(f"{path}: '{AUTO}' has no plane to look at: render depth, normals or alpha, too")
+            raise StrengthError(f"{path}: '{AUTO}' has no AOV to look at: render depth, normals or alpha, too")
         self.shares = Coverage()
 
     def strength(self, planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> np.ndarray:
@@ -181,7 +181,7 @@ class LeftAlone:
         """Says which planes show that pixels have converged."""
         threshold = parse_threshold(entry)
         for role in layout.planes.keys() & {*ERROR_READS}:
-            self._check_size(f"plane '{role}'", layout.planes[role].channels[0])
+            self._check_size(f"AOV '{role}'", layout.planes[role].channels[0])
         try:
             return threshold.basis(layout.planes, self._samples)
         except StrengthError as error:
@@ -194,8 +194,8 @@ class LeftAlone:
             self._numbered.setdefault(self._plane_of(entry, entry.plane), []).append(entry)
             id_range(entry)
         elif not layers:
-            raise StrengthError(f"{self._path}: no Cryptomatte to find '{entry.name}' in: render one, or give ids of a "
-                                f"plane, such as 7@id or 7-9@id")
+            raise StrengthError(f"{self._path}: no Cryptomatte to find '{entry.name}' in: render one, or give ids of "
+                                "an AOV, such as 7@id or 7-9@id")
         found = [(layer, key) for layer in layers for key in layer.about.ids_of(entry)]
         for layer, key in found:
             self._check_size(layer.name, layer.channels[0])
@@ -210,7 +210,7 @@ class LeftAlone:
             names = ", ".join(channel.name for channel in found[:SHOWN])
             what = f"has several channels ({names}): name one" if found else \
                 f"is not there: name a channel of ids, or a Cryptomatte (here: {known})"
-            raise StrengthError(f"{self._path}: plane '{plane}' of '{entry}' {what}")
+            raise StrengthError(f"{self._path}: AOV '{plane}' of '{entry}' {what}")
         self._check_size(found[0].name, found[0])
         return found[0]
 

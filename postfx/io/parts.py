@@ -155,8 +155,8 @@ def _missing_error(
 ) -> MissingPlaneError:
     held = "; ".join(index.contents()[:16]) or "nothing"
     if name == AUTO:
-        return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of its layers as parts "
-                                 f"of the picture: name them (--aov key,fill); it holds {held}")
+        return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of its layers as "
+                                 f"light groups or passes: name them (--aov key,fill); it holds {held}")
     return MissingPlaneError(f"{path}: no layer '{name}' for {option}: it holds {held}")
 
 
@@ -200,7 +200,7 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     valid = np.isfinite(excess) & np.isfinite(light)
     lights = [part.name for part in parts if part.is_light and part.name in pixels]
     below = [name for name in lights if _is_below(pixels[name])]
-    notes = [f"parts {', '.join(below)} have light below 0, which is cut to 0: add it to another layer, or leave them "
+    notes = [f"layers {', '.join(below)} have light below 0, which is cut to 0: add it to another layer, or take them "
              "out of --aov"] if below else []
     if not named or excess[valid].sum(dtype=np.float64) <= NEAR * light[valid].sum(dtype=np.float64):
         return parts, notes
@@ -208,10 +208,10 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     groups = {name: ",".join(names) for names in sets for name in names}
     alone = [part.name for part in named if part.name not in groups]
     if len(sets) > 1:
-        notes.append(f"parts {' and '.join(map(', '.join, sets))} each add up to the picture: they are taken as "
+        notes.append(f"layers {' and '.join(map(', '.join, sets))} each add up to the picture: they are taken as "
                      f"{len(sets)} sets")
     if alone:
-        notes.append(f"parts {', '.join(alone)} do not add up to the picture with others: each is filtered on its own")
+        notes.append(f"layers {', '.join(alone)} do not add up to the picture with others: each is filtered on its own")
     grouped = tuple(replace(part, group=groups.get(part.name, part.name)) if part in named else part for part in parts)
     return grouped, notes
 

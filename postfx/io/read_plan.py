@@ -286,7 +286,7 @@ class Planner:
         if guiding and path:
             if guides:
                 layout.warnings.append(
-                    f"planes {', '.join(guides)} are larger than the colour: not read beside the "
+                    f"AOVs {', '.join(guides)} are larger than the colour: not read beside the "
                     "guides given"
                 )
             layout.warnings += [f"guides: {warning}" for warning in guiding.layout.warnings]
@@ -383,7 +383,7 @@ def missing_error(role: Role, layout: Layout, index: ChannelIndex) -> MissingPla
     there = f"; it holds {'; '.join(held[:_SHOWN_LAYERS])}{more}" if role is Role.COLOUR else ""
     choose = ", choose a layer (--layer NAME)" if role is Role.COLOUR else ""
     return MissingPlaneError(
-        f"{next(iter(layout.paths.values()))}: no plane '{role}': profile {profile.name} looks for {tried}; "
+        f"{next(iter(layout.paths.values()))}: no AOV '{role}': profile {profile.name} looks for {tried}; "
         f"{remedy}{choose}, or name it in a profile (--profile FILE.toml){there}"
     )
 

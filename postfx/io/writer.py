@@ -529,7 +529,7 @@ def _output_pattern(target: str, source: Pattern) -> Pattern:
     if not is_utf8(target):
         raise WriteError(f"{make_printable(target)}: is not UTF-8: choose another name")
     if PLANE in split_folder(target)[1]:
-        raise WriteError(f"{target}: {PLANE} is for input: leave it out, the planes of a frame go into one file")
+        raise WriteError(f"{target}: {PLANE} is for input: leave it out, the AOVs of a frame go into one file")
     if not (target.endswith("/") or os.path.isdir(target) or not Path(target).suffix):
         return parse_pattern(target)
     start, end = source.prefix.rpartition("/")[2].replace(PLANE, "frame"), source.suffix

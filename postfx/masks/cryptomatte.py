@@ -90,10 +90,10 @@ def id_range(entry: Entry) -> tuple[int, int]:
     """First and last id of an entry such as '7' or '7-9'; StrengthError for anything else."""
     found = _RANGE.fullmatch(entry.name)
     if found is None:
-        raise StrengthError(f"'{entry.name}' of plane {entry.plane}: give an id, or first and last, such as 7-9")
+        raise StrengthError(f"'{entry.name}' of AOV {entry.plane}: give an id, or first and last, such as 7-9")
     first, last = int(found[1]), int(found[2] or found[1])
     if first > last:
-        raise StrengthError(f"'{entry.name}' of plane {entry.plane}: write the smaller id first, {last}-{first}")
+        raise StrengthError(f"'{entry.name}' of AOV {entry.plane}: write the smaller id first, {last}-{first}")
     return first, last
 
 
@@ -254,7 +254,7 @@ def strength_from_cryptomatte(
     """
     planes = list(np.moveaxis(ranks, -1, 0)) if isinstance(ranks, np.ndarray) else list(ranks)
     if not planes or len(planes) % 2:
-        raise StrengthError(f"{len(planes)} planes of a Cryptomatte: give id and share for each rank")
+        raise StrengthError(f"{len(planes)} AOVs of a Cryptomatte: give an id and its coverage for each rank")
     table = {id_of_name(key) if isinstance(key, str) else int(key) & _BITS: value for key, value in strengths.items()}
     if not all(0 <= value <= 1 for value in table.values()):
         raise StrengthError(f"strengths {min(table.values()):g} to {max(table.values()):g}: give 0 to 1")

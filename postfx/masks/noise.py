@@ -187,21 +187,21 @@ class Threshold:
 
         StrengthError if there are none.
         """
-        counted = f"plane '{Role.SAMPLE_COUNT}'" if Role.SAMPLE_COUNT in roles else f"{samples} samples a pixel"
+        counted = f"AOV '{Role.SAMPLE_COUNT}'" if Role.SAMPLE_COUNT in roles else f"{samples} samples a pixel"
         is_counted = bool(Role.SAMPLE_COUNT in roles or samples)
         if self.samples and not is_counted:
-            raise StrengthError(f"the number of samples is unknown: render the plane '{Role.SAMPLE_COUNT}', or give "
+            raise StrengthError(f"the number of samples is unknown: render the AOV '{Role.SAMPLE_COUNT}', or give "
                                 f"postfx:spp in the header")
         if self.samples:
             return counted
         role = _variance(roles)
         if role is None:
-            raise StrengthError(f"the error is unknown: render a plane {', '.join(VARIANCES)}, or name it in a "
+            raise StrengthError(f"the error is unknown: render an AOV {', '.join(VARIANCES)}, or name it in a "
                                 "profile (--profile FILE.toml)")
         if role is not Role.VARIANCE_OF_MEAN and not is_counted:
-            raise StrengthError(f"plane '{role}' gives the error only with the number of samples: give postfx:spp in "
-                                f"the header, or render the plane '{Role.SAMPLE_COUNT}'")
-        return f"plane '{role}'" if role is Role.VARIANCE_OF_MEAN else f"plane '{role}' and {counted}"
+            raise StrengthError(f"AOV '{role}' gives the error only with the number of samples: give postfx:spp in "
+                                f"the header, or render the AOV '{Role.SAMPLE_COUNT}'")
+        return f"AOV '{role}'" if role is Role.VARIANCE_OF_MEAN else f"AOV '{role}' and {counted}"
 
 
 def parse_threshold(entry: Entry) -> Threshold:

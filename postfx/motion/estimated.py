@@ -72,7 +72,7 @@ def motion_of(frame: Frame, before: Frame | None) -> np.ndarray:
     """Motion (height, width, 2) of a frame after another, by `motion_between`. FrameError without albedo and normal."""
     picture = picture_of(frame)
     if picture is None:
-        raise FrameError(f"{frame.source or 'frame'}: motion cannot be estimated without one of the planes "
+        raise FrameError(f"{frame.source or 'frame'}: motion cannot be estimated without one of the AOVs "
                          f"{', '.join(MOTION_SOURCES)}: render them")
     return motion_between(None if before is None else picture_of(before), picture, frame.planes.get(Role.DEPTH))
 

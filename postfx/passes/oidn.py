@@ -55,7 +55,7 @@ class Oidn(Pass):
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         found = [] if self._albedos(spec) else ["no albedo, so Open Image Denoise blurs more"]
-        found += [f"parts stay noisy: {', '.join(spec.part_names)}"] if spec.part_names else []
+        found += [f"light groups and passes stay noisy: {', '.join(spec.part_names)}"] if spec.part_names else []
         return tuple(found)
 
     def packages(self) -> Mapping[str, str]:

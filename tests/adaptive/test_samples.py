@@ -220,7 +220,7 @@ def test_the_plane_error_of_a_file_counts(tmp_path: Path, capsys):
     words = ["samples", f"{tmp_path}/shot.####.exr", "-o", f"{tmp_path}/map/####.exr", "--json"]
     assert main(words) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["error_from"] == ["the plane 'error'"] and facts["frames"][0]["samples"] == 4
+    assert facts["error_from"] == ["the AOV 'error'"] and facts["frames"][0]["samples"] == 4
     (region,) = facts["frames"][0]["regions"]
     assert region | {"samples": 0} == {"x": 0, "y": 32, "width": 32, "height": 32, "samples": 0}
     assert region["samples"] == 4 * MOST
@@ -265,7 +265,7 @@ def test_what_cannot_be_planned_is_said_in_one_line(tmp_path: Path, capsys):
     for words, message in (([shot], "nowhere to write"),
                            ([shot, "--json", "--quality", "nice"], "--quality nice: give draft"),
                            ([shot, "--json", "--tile", "2"], "too small to render"),
-                           ([shot, "--json", "--error", shot], "no plane 'error'"),
+                           ([shot, "--json", "--error", shot], "no AOV 'error'"),
                            ([silent, "--json", "--model", "s"], "give --samples N"),
                            ([shot, "-o", str(tmp_path / "map.png")], "maps are EXR files")):
         assert main(["samples", *words]) == 2

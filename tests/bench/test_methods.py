@@ -31,7 +31,7 @@ def test_what_is_left_out_says_why():
     omissions = dict(catalogue(MODELS, "cpu", guides=False, motion=False).omissions)
     assert omissions["m fp16"] == "fp16 is for cuda, not for cpu"
     assert omissions["l int8"] == "there is no model denoise_upscale.l.int8"
-    assert omissions["m fp32 guides"] == "the frames have no planes at output size"
+    assert omissions["m fp32 guides"] == "the frames have no AOVs at output size"
     assert omissions["accumulation"] == "the frames have no motion vectors"
 
 

@@ -42,7 +42,7 @@ def test_no_cuts_overrides_headers_but_not_gaps(tmp_path):
     [
         (("--cuts", "always"), "cuts 'always': use auto, none, or the frames at which shots begin"),
         (("--depth", "z"), "depth 'z': begin with planar, ray, device"),
-        (("--depth", "reversed"), "in/shot.0001.exr: plane 'depth' (depth.Z) is a depth buffer and its near plane"),
+        (("--depth", "reversed"), "in/shot.0001.exr: AOV 'depth' (depth.Z) is a depth buffer and its near plane"),
     ],
 )
 def test_what_cannot_be_used_is_an_error(postfx, two_shots, arguments, message):

@@ -84,7 +84,7 @@ def test_an_error_is_2_and_has_evidence_cause_and_fix(inspect, broken_room):
     assert code == 2 and codes(found, "error") == {"motion-sign-y"}
     (finding,) = found["findings"]
     assert set(finding) == {"level", "role", "code", "evidence", "cause", "fix"}
-    assert finding["role"] == "motion" and "y negated" in finding["evidence"]
+    assert finding["role"] == "motion" and "negated in y" in finding["evidence"]
 
 
 def test_values_above_1_are_seen_though_reading_cuts_them_off(inspect, broken_room):
@@ -194,7 +194,7 @@ def test_a_run_tells_before_its_first_frame_what_is_plainly_wrong(broken_room, t
     assert done.err.index("negative, least") < done.err.index("1/1 "), "at once, not at the end"
     run[1] = ROOM
     assert main([*run, "--overwrite", "--json"]) == 0
-    assert not any(text.startswith("plane ") for text in json.loads(capsys.readouterr().out)["warnings"])
+    assert not any(text.startswith("AOV ") for text in json.loads(capsys.readouterr().out)["warnings"])
 
 
 def test_motion_stored_as_colours_is_found_whatever_signs_the_profile_has(inspect, broken_room, tmp_path):

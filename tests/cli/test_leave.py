@@ -37,15 +37,15 @@ def pixels_of(path):
 
 def test_explain_and_summary_tell_the_share(postfx, ids, tmp_path):
     told = postfx(*RUN, "--leave", "logo,auto", "--explain")
-    (line,) = (line for line in told.out.splitlines() if line.startswith("leaves"))
-    assert line == ("leaves  of frame 1: 60.4 % of the pixels are not denoised at all: logo covers 33.3 %, "
+    (line,) = (line for line in told.out.splitlines() if line.startswith("masks "))
+    assert line == ("masks   of frame 1: 60.4 % of the pixels are not denoised at all: logo covers 33.3 %, "
                     "auto covers 43.8 %, 50.0 % are misses, of which edges and noisy ones are denoised")
     plan = postfx(*RUN, "--leave", "logo,auto", "--explain", "--json").json
     assert plan["left_alone"] == {"frames": 1, "share": 0.6042, "covered": {"logo": 0.3333, "auto": 0.4375},
                                   "misses": 0.5}
     done = postfx(*RUN, "--leave", "logo,auto", "-o", "out/", "--json")
     assert done.code == 0 and done.json["left_alone"] == {**plan["left_alone"], "frames": 2}
-    assert line.replace("leaves  of frame 1:", "left    ") in done.err.splitlines()
+    assert line.replace("masks   of frame 1:", "masks   ") in done.err.splitlines()
     assert "left_alone" not in postfx(*RUN, "--explain", "--json").json
 
 
@@ -68,16 +68,16 @@ def test_what_has_converged_is_told_with_its_reason(postfx, tmp_path):
         planes |= {f"mse.{name}": np.repeat(np.float32([0, 1]), 32)[:, None].repeat(96, 1) for name in "RGB"}
         OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(tmp_path / "in" / f"shot.{number:04d}.exr"))
     told = postfx(*RUN, "--leave", "converged:0.01", "--explain")
-    (line,) = (line for line in told.out.splitlines() if line.startswith("leaves"))
-    assert line == ("leaves  of frame 1: 40.6 % of the pixels are not denoised at all: converged:0.01 covers 43.8 % by "
-                    "plane 'variance_of_mean'")
+    (line,) = (line for line in told.out.splitlines() if line.startswith("masks "))
+    assert line == ("masks   of frame 1: 40.6 % of the pixels are not denoised at all: converged:0.01 covers 43.8 % by "
+                    "AOV 'variance_of_mean'")
     done = postfx(*RUN, "--leave", "converged:0.01", "-o", "out/", "--json")
-    assert done.code == 0 and done.json["left_alone"]["basis"] == {"converged:0.01": "plane 'variance_of_mean'"}
-    assert line.replace("leaves  of frame 1:", "left    ") in done.err.splitlines()
+    assert done.code == 0 and done.json["left_alone"]["basis"] == {"converged:0.01": "AOV 'variance_of_mean'"}
+    assert line.replace("masks   of frame 1:", "masks   ") in done.err.splitlines()
     seen = postfx("inspect", "in/shot.####.exr", "--json").json
     assert seen["roles"]["variance_of_mean"]["planes"] == ["mse.R", "mse.G", "mse.B"]
     wrong = postfx(*RUN, "--leave", "converged:64spp", "-o", "other/")
-    assert wrong.code == 2 and "'converged:64spp': the number of samples is unknown: render the plane" in wrong.err
+    assert wrong.code == 2 and "'converged:64spp': the number of samples is unknown: render the AOV" in wrong.err
 
 
 def test_errors_come_before_the_first_frame(postfx, ids, tmp_path):

@@ -28,7 +28,7 @@ def test_the_plan_tells_how_the_mask_is_made(postfx, smoke):
     done = postfx("run", "in/", "--explain")
     assert "reactive mask from the difference of colour and opaque_colour: times 4" in done.out
     done = postfx("run", "in/", "--explain", "--reactive", "none")
-    assert "skips   plane 'opaque_colour': no pass reads it" in done.out and "reactive mask" not in done.out
+    assert "skips   AOV 'opaque_colour': no pass reads it" in done.out and "reactive mask" not in done.out
 
 
 def test_the_mask_changes_what_was_left_behind(postfx, smoke, tmp_path):
@@ -39,7 +39,7 @@ def test_the_mask_changes_what_was_left_behind(postfx, smoke, tmp_path):
     assert np.abs(masked - without)[40:48, 60:68].max() > 0.05
 
 
-@pytest.mark.parametrize(("given", "said"), [("plane", "needs plane 'reactive'"), ("auto,cut=2", "unknown 'cut'")])
+@pytest.mark.parametrize(("given", "said"), [("plane", "needs AOV 'reactive'"), ("auto,cut=2", "unknown 'cut'")])
 def test_what_cannot_be_is_an_error(postfx, smoke, given, said):
     done = postfx("run", "in/", "-o", "out/####.exr", "--reactive", given)
     assert done.code == 2 and said in done.err

@@ -46,7 +46,7 @@ def test_json_report(postfx, shot):
     assert report["frames"] == 2
     assert report["outputs"] == ["out/shot.0001.exr", "out/shot.0003.exr"]
     assert set(report["ms_per_frame"]) == {"median", "min", "max"}
-    assert {"what": "plane 'depth'", "why": "no pass reads it"} in report["skipped"]
+    assert {"what": "AOV 'depth'", "why": "no pass reads it"} in report["skipped"]
     assert {"what": "denoise_upscale", "why": "--no-denoise"} in report["skipped"]
     assert any("the history begins anew" in warning for warning in report["warnings"])
 
@@ -73,7 +73,7 @@ def test_explain_writes_nothing(postfx, shot, tmp_path):
     shot(1)
     done = postfx(*COPY, "--explain")
     assert done.code == 0
-    assert "skips   plane 'depth': no pass reads it" in done.out
+    assert "skips   AOV 'depth': no pass reads it" in done.out
     assert "tonemap: EXR output stays scene-linear" in done.out
     assert json.loads(postfx(*COPY, "--explain", "--json").out)["frames"] == 1
     assert outputs(tmp_path / "out") == []
@@ -145,14 +145,14 @@ def test_plane_that_ends_in_the_middle_is_named(postfx, shot, write_exr):
     write_exr("in/shot.0002.exr", {name: np.ones((32, 48)) for name in "RGB"})
     done = postfx(*COPY)
     assert done.code == 2
-    assert "error: in/shot.0002.exr: no plane 'alpha'" in done.err
+    assert "error: in/shot.0002.exr: no AOV 'alpha'" in done.err
 
 
 def test_input_without_colour(postfx, write_exr):
     write_exr("in/shot.0001.exr", {"depth.Z": np.ones((4, 4))})
     done = postfx(*COPY)
     assert done.code == 2
-    assert "error: in/shot.0001.exr: no plane 'colour': profile generic looks for R, G, B" in done.err
+    assert "error: in/shot.0001.exr: no AOV 'colour': profile generic looks for R, G, B" in done.err
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,29 @@ def test_a_pipeline_tells_the_log(room, caplog):
     assert "likely" not in caplog.text
 
 
+def test_a_pipeline_tells_once_of_planes_that_come_and_go(room, caplog):
+    passes = postfx.Pipeline([postfx.DenoiseUpscale(model="s")], postfx.Device("cpu"))
+    bare = [replace(one, planes={role: plane for role, plane in one.planes.items() if role != Role.NORMAL})
+            for one in room]
+
+    def told(frames: list[Frame]) -> list[str]:
+        caplog.clear()
+        for frame in frames:
+            passes(frame)
+        return [record.message for record in caplog.records if "begins anew" in record.message]
+
+    with caplog.at_level(logging.WARNING, "postfx"):
+        assert told([bare[0], room[1], bare[2], room[3]]) == [
+            "frame 2 has normal, which the frame before had not: its history begins anew; "
+            "give it in all frames of a shot or in none"]
+        passes.reset()
+        assert told(room[:2]) == []
+        assert told([replace(bare[2], reset=True)]) == []  # a shot of its own
+        passes = postfx.Pipeline([postfx.DenoiseUpscale(model="s")], postfx.Device("cpu"))
+        (line,) = told([room[0], bare[1]])
+        assert line.startswith("frame 2 lacks normal, which the frame before had: ")
+
+
 def test_a_run_tells_of_planes_that_come_later(write_exr, tmp_path, capsys):
     from postfx.cli.main import main
 

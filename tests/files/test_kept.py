@@ -216,7 +216,7 @@ def test_planes_that_are_smaller_than_the_picture_beside_them_are_not_read(tmp_p
     sequence = read_sequence(tmp_path / "old.exr")
     (frame,) = sequence
     assert set(frame.planes) == {Role.COLOUR, Role.ALPHA} and frame.spec.width == 2 * WIDTH
-    assert sequence.warnings == ["planes depth are of the render before it was enlarged: not read"]
+    assert sequence.warnings == ["AOVs depth are of the render before it was enlarged: not read"]
 
 
 def test_what_is_no_longer_true_of_the_picture_is_kept_apart(tmp_path: Path) -> None:

@@ -123,7 +123,7 @@ def test_the_view_layer_of_the_first_frame_is_that_of_all(write_exr) -> None:
 
 def test_any_layer_may_be_chosen(write_exr, write_parts) -> None:
     channels = flat(["char.R", "char.G", "char.B", "env.R", "env.G", "env.B", "depth.Z"], *GREY[:3], 9, 9, 9, 5)
-    message = r"no plane 'colour': .*\(--layer NAME\).*it holds char\.R,G,B; depth\.Z; env\.R,G,B"
+    message = r"no AOV 'colour': .*\(--layer NAME\).*it holds char\.R,G,B; depth\.Z; env\.R,G,B"
     with pytest.raises(MissingPlaneError, match=message):
         read(write_exr("a.exr", channels), planes=[Role.COLOUR])
     assert means(read(write_exr("a.exr", channels), layer="char")) == COLOUR | {"depth": [5]}
@@ -185,7 +185,7 @@ def test_camera_space_normals_are_not_read_under_the_base_profiles_name(write_ex
 
 
 def test_luminance_and_chroma_are_no_grey(write_exr) -> None:
-    with pytest.raises(MissingPlaneError, match="no plane 'colour'.*it holds Y,BY,RY"):
+    with pytest.raises(MissingPlaneError, match="no AOV 'colour'.*it holds Y,BY,RY"):
         read(write_exr("a.exr", flat(["Y", "RY", "BY"], 1, 1, 1)))
 
 
@@ -207,5 +207,5 @@ def test_the_only_layer_may_be_grey(write_exr) -> None:
 
 def test_of_two_layers_with_colours_none_is_guessed(write_exr) -> None:
     names = [f"{layer}.{letter}" for layer in ("one", "two") for letter in "RGB"]
-    with pytest.raises(MissingPlaneError, match=r"no plane 'colour'.*--layer NAME"):
+    with pytest.raises(MissingPlaneError, match=r"no AOV 'colour'.*--layer NAME"):
         read(write_exr("a.exr", flat(names, *range(6))))

@@ -83,7 +83,7 @@ def test_outside_the_data_window_nothing_was_hit(write_exr):
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ("reversed", r"plane 'depth' \(depth\.Z\) is a depth buffer and its near plane is not known: give near= after"),
+        ("reversed", r"AOV 'depth' \(depth\.Z\) is a depth buffer and its near plane is not known: give near= after"),
         ("normalised,near=1", "is normalised and its far plane is not known: give far= after"),
         ("ray", "is distance from the eye and its horizontal field of view is not known: give fov= .*header .*fovX"),
     ],

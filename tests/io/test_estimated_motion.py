@@ -109,7 +109,7 @@ def test_zero_at_rest_at_a_cut_and_without_a_frame_before() -> None:
     for frame in noisy:
         del frame.planes[Role.DEPTH]
     assert not motion_of(noisy[1], noisy[0]).any(), "noise without depth"
-    with pytest.raises(FrameError, match="cannot be estimated without one of the planes diffuse_albedo, normal"):
+    with pytest.raises(FrameError, match="cannot be estimated without one of the AOVs diffuse_albedo, normal"):
         motion_of(Frame({Role.COLOUR: now[Role.COLOUR]}), None)
 
 

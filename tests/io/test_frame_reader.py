@@ -186,7 +186,7 @@ def test_a_plane_of_channels_of_two_sizes_is_refused(write_exr, ramp, tmp_path, 
 def test_missing_plane_names_file_plane_and_mend(write_exr, ramp):
     with (
         open_files(write_exr("a.exr", blender_channels(ramp))) as files,
-        pytest.raises(MissingPlaneError, match=r"a\.exr: no plane 'normal': .*Normal\.X.*Passes > Data > Normal"),
+        pytest.raises(MissingPlaneError, match=r"a\.exr: no AOV 'normal': .*Normal\.X.*Passes > Data > Normal"),
     ):
         files.read(1, [Role.NORMAL])
 

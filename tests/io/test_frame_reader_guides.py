@@ -91,7 +91,7 @@ def test_no_guides_there(shot, tmp_path):
 
 def test_a_file_without_a_plane_that_guides(shot, write_exr, ramp):
     noisy, _ = shot(1)
-    with pytest.raises(MissingPlaneError, match="beauty.0001.exr: holds none of the planes that guide .*depth"):
+    with pytest.raises(MissingPlaneError, match="beauty.0001.exr: holds none of the AOVs that guide .*depth"):
         list(read_sequence(noisy, guides=write_exr("beauty.0001.exr", ramp("R", "G", "B", **LARGE))))
 
 
@@ -146,7 +146,7 @@ def test_files_of_their_own_count_before_larger_planes(shot, write_parts, ramp):
     sequence = read_sequence(source, guides=guides)
     (frame,) = sequence
     assert set(frame.guides) == {Role.DIFFUSE_ALBEDO, Role.DEPTH} and Role.NORMAL not in frame
-    assert sequence.warnings == ["planes normal are larger than the colour: not read beside the guides given"]
+    assert sequence.warnings == ["AOVs normal are larger than the colour: not read beside the guides given"]
 
 
 def test_guides_of_several_sizes_are_refused_by_name(write_exr, ramp, tmp_path):
@@ -169,7 +169,7 @@ def test_other_planes_of_another_size_are_no_guides(write_exr, ramp, tmp_path, n
 def test_a_plane_that_is_no_longer_larger_is_named(write_parts, ramp):
     parts = {"beauty": ramp("R", "G", "B"), "albedo": ramp("R", "G", "B")}
     sequence = Sequence(write_parts("shot.0001.exr", parts))
-    with pytest.raises(MissingPlaneError, match=r"shot\.0001\.exr: no plane 'diffuse_albedo' at output size"):
+    with pytest.raises(MissingPlaneError, match=r"shot\.0001\.exr: no AOV 'diffuse_albedo' at output size"):
         sequence.read(1, (Role.COLOUR,), (Role.DIFFUSE_ALBEDO,))
 
 

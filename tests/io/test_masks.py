@@ -190,10 +190,10 @@ def test_a_thing_need_not_be_in_every_frame(write: Callable[..., Path]) -> None:
     ("LOGO", {}, "no 'LOGO' in Cryptomatte CryptoObject: nearest: 'logo'"),
     ("q", {}, "no 'q' in Cryptomatte CryptoObject: some of its names: 'sky_dome', 'sky_sun', 'logo'"),
     ("q", {"manifest": "{}"}, "some of its names: none, the manifest is empty"),
-    ("7@id", {}, "plane 'id' of '7@id' is not there: name a channel of ids, or a Cryptomatte \\(here: CryptoObject\\)"),
-    ("7@crypto*", {}, "plane 'crypto\\*' of '7@crypto\\*' has several channels \\(CryptoObject00.R, "),
-    ("seven@R", {}, "'seven' of plane R: give an id, or first and last, such as 7-9"),
-    ("9-7@R", {}, "'9-7' of plane R: write the smaller id first, 7-9"),
+    ("7@id", {}, "AOV 'id' of '7@id' is not there: name a channel of ids, or a Cryptomatte \\(here: CryptoObject\\)"),
+    ("7@crypto*", {}, "AOV 'crypto\\*' of '7@crypto\\*' has several channels \\(CryptoObject00.R, "),
+    ("seven@R", {}, "'seven' of AOV R: give an id, or first and last, such as 7-9"),
+    ("9-7@R", {}, "'9-7' of AOV R: write the smaller id first, 7-9"),
     ("logo", {"manifest": '{"logo": "12345678"}'}, "the manifest gives 'logo' the id 12345678, its hash is"),
     ("logo", {"manifest": "nonsense"}, "the manifest is not JSON of names and ids"),
     ("logo", {"manifest": '["logo"]'}, "the manifest is not JSON of names and ids"),
@@ -201,7 +201,7 @@ def test_a_thing_need_not_be_in_every_frame(write: Callable[..., Path]) -> None:
     ("logo", {"hash": "SHA1"}, "Cryptomatte CryptoObject: hash SHA1 is not known: render it with MurmurHash3_32"),
     ("logo", {"conversion": "none"}, "conversion none is not known: render it with uint32_to_float32"),
     ("logo", {"name": "CryptoAsset"}, "Cryptomatte CryptoAsset: no channels CryptoAsset00.R, G, B, A"),
-    ("auto", {}, "'auto' has no plane to look at: render depth, normals or alpha, too"),
+    ("auto", {}, "'auto' has no AOV to look at: render depth, normals or alpha, too"),
 ])
 def test_what_is_wrong_is_told_in_one_line(
     write: Callable[..., Path], leave: str, fields: dict[str, str], message: str
@@ -213,7 +213,7 @@ def test_what_is_wrong_is_told_in_one_line(
 
 
 def test_files_that_no_name_can_be_found_in(write: Callable[..., Path]) -> None:
-    with pytest.raises(StrengthError, match="no Cryptomatte to find 'logo' in: render one, or give ids of a plane"):
+    with pytest.raises(StrengthError, match="no Cryptomatte to find 'logo' in: render one, or give ids of an AOV"):
         strength(write(colours()), "logo")
     halves = {name: plane.clip(0, 1).astype(np.float16) for name, plane in ranks("CryptoObject").items()}
     with pytest.raises(StrengthError, match="channel CryptoObject00.R has ids that are not whole: write 32-bit floats"):
@@ -261,13 +261,13 @@ def converged(name: str, letters: str, value: float) -> Channels:
 
 
 @pytest.mark.parametrize(("channels", "header", "basis"), [
-    (converged("mse.", "RGB", 1e-3), {}, "plane 'variance_of_mean'"),
-    (converged("sample_variance.", "RGB", 0.1), {"postfx:spp": 64}, "plane 'sample_variance' and 64 samples a pixel"),
+    (converged("mse.", "RGB", 1e-3), {}, "AOV 'variance_of_mean'"),
+    (converged("sample_variance.", "RGB", 0.1), {"postfx:spp": 64}, "AOV 'sample_variance' and 64 samples a pixel"),
     (converged("Variance.", "RGB", 0.1) | {name: np.ones((64, 48), np.float32) for name in (
         "Albedo.R", "Albedo.G", "Albedo.B", "Ns.X", "Ns.Y", "Ns.Z", "P.Z", "dzdx")}, {"samplesPerPixel": 32},
-     "plane 'sample_variance' and 32 samples a pixel"),
+     "AOV 'sample_variance' and 32 samples a pixel"),
     (converged("m2_image.", "XYZ", 0.5), {"generatedBy": "Mitsuba version 3.6.0", "postfx:spp": 16},
-     "plane 'second_moment' and 16 samples a pixel"),
+     "AOV 'second_moment' and 16 samples a pixel"),
 ])
 def test_what_renderers_tell_of_their_error(
     write: Callable[..., Path], channels: Channels, header: dict[str, int | str], basis: str
@@ -288,18 +288,18 @@ def test_counts_of_cycles_are_numbers_or_shares(write: Callable[..., Path]) -> N
         sequence = read_sequence(path, leave="converged:256spp=0.5")
         found = sequence.read(1)[Role.STRENGTH][:, :, 0]
         assert (found[:28] == 0.5).all() and (found[32:] == 1).all()
-        assert "by plane 'sample_count'" in str(sequence.coverage)
+        assert "by AOV 'sample_count'" in str(sequence.coverage)
 
 
 def test_what_cannot_tell_that_it_has_converged(write: Callable[..., Path], tmp_path: Path) -> None:
     path = write(converged("m2_image.", "XYZ", 0.5), generatedBy="Mitsuba version 3.6.0")
-    for leave, message in (("converged:0.01", "'converged:0.01': plane 'second_moment' gives the error only with the"),
+    for leave, message in (("converged:0.01", "'converged:0.01': AOV 'second_moment' gives the error only with the"),
                            ("converged:64spp", "'converged:64spp': the number of samples is unknown: render the"),
                            ("converged", "'converged': give a relative error, such as converged:0.01, or a number")):
         with pytest.raises(StrengthError, match=message):
             read_sequence(path, leave=leave).read(1)
     OpenEXR.File({"type": OpenEXR.scanlineimage}, colours()).write(str(tmp_path / "beauty.exr"))
     OpenEXR.File({"type": OpenEXR.scanlineimage}, converged("mse.", "RGB", 1.0)).write(str(tmp_path / "noise.exr"))
-    with pytest.raises(StrengthError, match="plane 'variance_of_mean' is 48x64, the colour is 8x6: render both"):
+    with pytest.raises(StrengthError, match="AOV 'variance_of_mean' is 48x64, the colour is 8x6: render both"):
         FrameFiles({word: tmp_path / f"{word}.exr" for word in ("beauty", "noise")},
                    ReadOptions(leave="converged:0.01"))

@@ -197,7 +197,7 @@ def test_ids_are_no_light_either(tmp_path: Path) -> None:
 
 def test_pictures_for_a_display_have_no_parts(cycles: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(cycles), "-o", str(tmp_path / "a.0001.png"), "--aov", "auto", "--explain"]) == 0
-    assert "parts of the picture: they are scene-linear" in capsys.readouterr().out
+    assert "light groups and passes: they are scene-linear" in capsys.readouterr().out
     assert main(["run", str(cycles), "--aov", "key", "--explain"]) == 0
     assert "parts   ViewLayer.Combined_key" in capsys.readouterr().out
 
@@ -236,11 +236,11 @@ def test_layers_that_are_too_bright_together_are_grouped_by_sets_and_what_is_lef
     parts = [Part(name, "light", "named") for name in pixels]
     grouped, (note,) = group_parts(parts, picture, pixels)
     assert [part.group for part in grouped] == ["key,fill", "diffuse,specular", "key,fill", "diffuse,specular"]
-    assert note == "parts key, fill and diffuse, specular each add up to the picture: they are taken as 2 sets"
+    assert note == "layers key, fill and diffuse, specular each add up to the picture: they are taken as 2 sets"
     more, glow = pixels | {"glow": 2 * picture}, Part("glow", "light", "named")
     grouped, notes = group_parts([*parts, glow], picture, more)
     assert grouped[-1].group == "glow" and len({part.group for part in grouped}) == 3
-    assert notes[1] == "parts glow do not add up to the picture with others: each is filtered on its own"
+    assert notes[1] == "layers glow do not add up to the picture with others: each is filtered on its own"
 
 
 def test_a_part_brighter_than_the_picture_and_light_below_0_are_told(two_splits):
@@ -248,10 +248,10 @@ def test_a_part_brighter_than_the_picture_and_light_below_0_are_told(two_splits)
     glow, dark = Part("glow", "light", "named"), Part("dark", "light", "named")
     (grouped,), (note,) = group_parts([glow], picture, {"glow": 2 * picture})
     assert grouped.group == "glow"
-    assert note == "parts glow do not add up to the picture with others: each is filtered on its own"
+    assert note == "layers glow do not add up to the picture with others: each is filtered on its own"
     darkened = {"key": picture + 0.1, "dark": np.full_like(picture, -0.1)}
     parts = (Part("key", "light", "named"), dark)
-    note = "parts dark have light below 0, which is cut to 0: add it to another layer, or leave them out of --aov"
+    note = "layers dark have light below 0, which is cut to 0: add it to another layer, or take them out of --aov"
     assert group_parts(parts, picture, darkened) == (parts, [note])
 
 

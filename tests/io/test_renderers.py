@@ -185,7 +185,7 @@ LAYOUTS = {
     "Blender 4, Denoising Data": Layout(
         "cycles-4", denoising_data(ray_lengths(0)), DENOISING_DATA | {Role.DENOISING_ALBEDO},
         {"Software": "Blender 4.2.1", **CAMERA_FORWARD}, depth=f"ray,fov={FOV},miss=0"),
-    "Cycles in Gaffer, a file a plane": Layout("cycles-hosts", {
+    "Cycles in Gaffer, a file an AOV": Layout("cycles-hosts", {
         "beauty": picture(), "diffuse_color": store("", "RGB", DIFFUSE), "glossy_color": store("", "RGB", SPECULAR),
         "normal": store("", "RGB", NORMAL), "depth": store("", "Z", DEPTH), "roughness": store("", "R", ROUGHNESS),
         "motion": store("", "RGBA", BLENDER_VECTOR), "ao": store("", "RGB", OTHER),
@@ -440,7 +440,7 @@ def test_a_part_for_each_layer(open_layout, name):
 
 
 def test_a_folder_with_a_file_for_each_plane(write_exr, tmp_path):
-    layout = LAYOUTS["Cycles in Gaffer, a file a plane"]
+    layout = LAYOUTS["Cycles in Gaffer, a file an AOV"]
     for name in ("beauty", "diffuse_color", "glossy_color", "motion"):
         write_exr(f"shot/{name}.0001.exr", layout.stored[name])
     (frame,) = read_sequence(tmp_path / "shot")

@@ -63,7 +63,7 @@ def test_a_pixel_that_is_all_one_thing_is_exactly_0_or_1() -> None:
 
 def test_what_the_functions_refuse() -> None:
     ranks = np.zeros((2, 2, 4), np.float32)
-    with pytest.raises(StrengthError, match="3 planes of a Cryptomatte: give id and share for each rank"):
+    with pytest.raises(StrengthError, match="3 AOVs of a Cryptomatte: give an id and its coverage for each rank"):
         strength_from_cryptomatte(ranks[..., :3], {"sky": 0})
     for function, planes in ((strength_from_cryptomatte, ranks), (strength_from_ids, ranks[..., 0])):
         with pytest.raises(StrengthError, match="strengths -1 to 2: give 0 to 1"):

@@ -143,9 +143,9 @@ def test_entries_without_a_threshold_are_errors(text: str) -> None:
 
 
 @pytest.mark.parametrize(("threshold", "roles", "message"), [
-    (ONE_PERCENT, (), "the error is unknown: render a plane sample_variance, second_moment, variance_of_mean, or"),
-    (ONE_PERCENT, (Role.SAMPLE_VARIANCE,), "plane 'sample_variance' gives the error only with the number of samples"),
-    (Threshold(samples=64), (Role.VARIANCE_OF_MEAN,), "the number of samples is unknown: render the plane"),
+    (ONE_PERCENT, (), "the error is unknown: render an AOV sample_variance, second_moment, variance_of_mean, or"),
+    (ONE_PERCENT, (Role.SAMPLE_VARIANCE,), "AOV 'sample_variance' gives the error only with the number of samples"),
+    (Threshold(samples=64), (Role.VARIANCE_OF_MEAN,), "the number of samples is unknown: render the AOV"),
 ])
 def test_what_is_missing_is_told(threshold: Threshold, roles: tuple[Role, ...], message: str) -> None:
     with pytest.raises(StrengthError, match=message):

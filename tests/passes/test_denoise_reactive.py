@@ -166,7 +166,7 @@ def test_what_is_read_and_what_is_said() -> None:
         plan = Pipeline([DenoiseUpscale(**options)]).explain(spec)
         return {Role.REACTIVE, Role.OPAQUE_COLOUR} & set(plan.planes), "".join(plan.remarks)
 
-    assert planned(both.spec) == ({Role.REACTIVE}, "denoise_upscale: reactive mask from the plane 'reactive'")
+    assert planned(both.spec) == ({Role.REACTIVE}, "denoise_upscale: reactive mask from the AOV 'reactive'")
     assert planned(only)[0] == planned(both.spec, reactive="difference")[0] == {Role.OPAQUE_COLOUR}
     said = "denoise_upscale: reactive mask from the difference of colour and opaque_colour: times 8, 0 below 0.05"
     assert planned(only, reactive="auto,scale=8")[1] == said
@@ -174,7 +174,7 @@ def test_what_is_read_and_what_is_said() -> None:
     alone = given(noisy(1, planes=still), Role.REACTIVE, 0).spec
     for spec, options in ((both.spec, {"reactive": "none"}), (alone, {}), (both.spec, {"strength": 0})):
         assert planned(spec, **options)[0] == set() and "reactive" not in planned(spec, **options)[1]
-    with pytest.raises(MissingPlaneError, match="needs plane 'reactive'"):
+    with pytest.raises(MissingPlaneError, match="needs AOV 'reactive'"):
         planned(only, reactive="plane")
 
 

@@ -196,7 +196,7 @@ def test_the_command_writes_it_beside_the_picture(options, postfx, tmp_path: Pat
 def test_a_picture_for_a_display_holds_none(postfx, exported_models: Path) -> None:
     done = run_with_error(postfx, exported_models, output="out/a.####.png")
     assert done.code and done.err.strip() == (
-        "error: out/a.####.png: pictures for a display hold no plane 'error': write EXR, or leave error out of --aov")
+        "error: out/a.####.png: pictures for a display hold no AOV 'error': write EXR, or leave error out of --aov")
 
 
 @pytest.mark.usefixtures("noise")

@@ -155,7 +155,7 @@ def in_chromium(script: str, files: dict[str, Path], folder: Path, gpu: bool = F
 @pytest.mark.parametrize("network", ["s", pytest.param("m", marks=pytest.mark.soak)])
 def test_a_dropped_file_is_denoised_and_shown(network, tmp_path):
     told = in_chromium(DROP.replace("NETWORK", network), {"given.exr": SAMPLE}, tmp_path)
-    assert "320x180 to 640x360" in told["status"] and told["picture"] == [640, 360], told
+    assert "320x180 to 320x180" in told["status"] and told["picture"] == [320, 180], told
     assert "motion.X, motion.Y" in told["planes"] and "not there" not in told["planes"]
     assert all(name.startswith("http://127.0.0.1:") for name in told["loaded"])  # nothing comes from elsewhere
     assert_it_is_the_passes_picture(told["png"], network, tmp_path)
@@ -173,7 +173,7 @@ def assert_it_is_the_passes_picture(png: str, network: str, folder: Path) -> Non
     """The page's picture is the one that the passes make, but for the rounding to 8 bits and of the last bits."""
     image = pytest.importorskip("PIL.Image")
     (folder / "picture.png").write_bytes(b64decode(png))
-    passes = [postfx.DenoiseUpscale(scale=2, model=f"{network}.fp32"), postfx.ToneMap()]
+    passes = [postfx.DenoiseUpscale(model=f"{network}.fp32"), postfx.ToneMap()]
     wanted = postfx.Pipeline(passes)(frame_of(SAMPLE))
     shown = np.asarray(image.open(folder / "picture.png").convert("RGB")) / np.float32(255)
     error = np.abs(shown - wanted[Role.COLOUR])

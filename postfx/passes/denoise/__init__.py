@@ -50,6 +50,8 @@ from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 PLANES = tuple(ABSENT)
 NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stands in for the network, and more noise "
                "stays: install it, or accept that by the model classic")
+ALONE = "no motion vectors, so every frame is denoised alone and may flicker"
+"""A remark, before what helps."""
 SHARPENING = Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.DEPTH
 """Planes without which results are 0.2 dB worse or more; the others are worth less than a line."""
 PART_FILTERS = "picture", "own"
@@ -176,8 +178,8 @@ class DenoiseUpscale(Pass):
         seen = {*spec.roles, *spec.guide_roles}
         lost = [str(role).replace("_", " ") for role in SHARPENING if role not in seen]
         can_be_estimated = any(map(spec.has, (Role.DIFFUSE_ALBEDO, Role.NORMAL)))
-        remedy = "--motion auto estimates it" if can_be_estimated else "render it, or albedo to estimate it from"
-        alone = f"no motion vectors, so every frame is denoised alone and may flicker: {remedy}"
+        remedy = "--motion auto estimates them" if can_be_estimated else "render them, or albedo to estimate them from"
+        alone = f"{ALONE}: {remedy}"
         found = [NO_NETWORKS] if self._is_fallback else []
         found += [] if spec.has(Role.MOTION) else [alone]
         found += [f"no {' and no '.join(lost)}: results are blurrier"] if lost else []

@@ -181,7 +181,7 @@ class ReactiveOption:
         if role is Role.OPAQUE_COLOUR:
             return (f"reactive mask from the difference of colour and {role}: times {self.scale:g}, "
                     f"0 below {self.threshold:g}",)
-        return (f"reactive mask from the plane '{role}'",) if role else ()
+        return (f"reactive mask from the AOV '{role}'",) if role else ()
 
 
 def parse_reactive(text: str) -> ReactiveOption:
