@@ -59,7 +59,7 @@ def blocks(seed: int, size: tuple[int, int], rays: int = 128) -> dict[str, np.nd
     return {"normal": normals @ axes.T, "depth": depth, "visible": visible, "radii": radii, "tangent": tangent}
 
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "occlusion.png")
 parser.add_argument("--train", type=Path, help="folder of views to learn from")
 parser.add_argument("--held-out", type=Path, help="folder of views to measure on")

@@ -102,8 +102,8 @@ def _description(name: str) -> list[str]:
         return [f"{name}  ({origin})", f"    {error}"]
     options = ", ".join(key if value is Parameter.empty else f"{key}={_spell(value)}"
                         for key, value in kind.defaults.items())
-    lines = [f"{name}  ({origin})", f"    {(kind.__doc__ or '').strip().partition(chr(10))[0]}",
-             f"    options: {options or 'none'}"]
+    summary = " ".join((kind.__doc__ or "").strip().partition("\n\n")[0].split())
+    lines = [f"{name}  ({origin})", f"    {summary}", f"    options: {options or 'none'}"]
     return lines + [f"    a pass of this name in {package_of(point)} is not used: rename it" for point in hidden]
 
 
