@@ -95,7 +95,7 @@ def print_text(facts: dict[str, Any], exit_code: int) -> None:
 
 
 def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
-    from postfx.io.profile import SOURCES
+    from postfx.io.profile import NAME_SOURCES
 
     profile, examined = facts["profile"], len(facts["examined"])
     looked = f", {examined} examined" if facts["frames"]["count"] > 1 else ""
@@ -103,7 +103,7 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
     return [
         f"{facts['source']}: {_frames_text(facts['frames'])}{looked}: {VERDICTS[exit_code]}",
         f"profile {profile['name']} ({profile['title'] or 'own'}), {facts['width']}x{facts['height']}",
-        *([f"names are {SOURCES[profile['source']]}"] if profile["source"] else []),
+        *([f"names are {NAME_SOURCES[profile['source']]}"] if profile["source"] else []),
         "",
         *(line for finding in facts["findings"] for line in _finding_lines(finding)),
         *([""] if facts["findings"] else []),
@@ -149,14 +149,14 @@ def _guide_lines(guides: dict[str, Any] | None) -> list[str]:
 
 def _plane_line(plane: dict[str, Any], source: str = "") -> str:
     """One line; it says where the plane's names are from if that is neither `source` nor the user's own profile."""
-    from postfx.io.profile import SOURCES
+    from postfx.io.profile import NAME_SOURCES
 
     values = "no value" if plane["min"] is None else f"{plane['min']:.4g} .. {plane['max']:.4g}"
     signed = plane["role"] in ("motion", "normal")
     counts = (("misses", "misses"), ("non_finite", "not finite"), *(() if signed else (("negative", "negative"),)))
     odd = [f"{plane[key]} {words}" for key, words in counts if plane[key]]
     odd += [f"noise {plane['noise']:.2g}"] if (plane["noise"] or 0) >= 1e-3 else []
-    odd += [f"name {SOURCES[plane['source']]}"] if plane["source"] not in ("", source) else []
+    odd += [f"name {NAME_SOURCES[plane['source']]}"] if plane["source"] not in ("", source) else []
     text = f"{plane['role']:<22}{plane['channels']:<38}{values}"
     return f"{text} ({', '.join(odd)})" if odd else text
 

@@ -366,14 +366,14 @@ def make_run_up(arguments: argparse.Namespace, sequence: Sequence, cuts: str) ->
 def refuse_views(sequence: Sequence, outputs: OutputFiles | None) -> None:
     """WriteError if files cannot hold all views that are asked for, or are for views and there are none."""
     from postfx.errors import WriteError
-    from postfx.io.pattern import VIEW
+    from postfx.io.pattern import VIEW_FIELD
 
     if sequence.views and outputs and outputs.display and not outputs.has_views:
-        raise WriteError(f"{outputs.pattern}: only EXR holds several views: write EXR, or a file for each: put {VIEW} "
-                         "into the name")
+        raise WriteError(f"{outputs.pattern}: only EXR holds several views: write EXR, or a file for each: put "
+                         f"{VIEW_FIELD} into the name")
     if outputs and outputs.has_views and not sequence.view:
-        raise WriteError(f"{outputs.pattern}: {VIEW} is for the names of views, and none is known: give --view all for "
-                         "stereo files, or leave it out")
+        raise WriteError(f"{outputs.pattern}: {VIEW_FIELD} is for the names of views, and none is known: give --view "
+                         "all for stereo files, or leave it out")
 
 
 def refuse_several_views(arguments: argparse.Namespace, verb: str) -> None:

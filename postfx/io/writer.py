@@ -24,7 +24,7 @@ from postfx.io.exr.passthrough import enlargement_of, select_attributes, set_att
 from postfx.io.exr.picture import Picture, light_of, tag_light, to_halves, write_exr
 from postfx.io.image_file import reason_of
 from postfx.io.jpeg import JPEG_SUFFIXES, write_jpeg
-from postfx.io.pattern import PLANE, VIEW, Pattern, parse_pattern, split_folder
+from postfx.io.pattern import PLANE_FIELD, VIEW_FIELD, Pattern, parse_pattern, split_folder
 from postfx.io.png import OWN_CHANNELS, write_png
 from postfx.io.quantisation import Dither, quantise
 from postfx.io.sequence import Sequence
@@ -395,11 +395,11 @@ class OutputFiles:
         if len(sequence) > 1 and not self._pattern.is_numbered:
             stem, suffix = Path(target).stem, Path(target).suffix
             raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like {stem}.####{suffix}")
-        if VIEW in os.path.dirname(self._pattern.prefix):
-            raise WriteError(f"{self._pattern}: all views go into one folder: put {VIEW} into the file's name")
+        if VIEW_FIELD in os.path.dirname(self._pattern.prefix):
+            raise WriteError(f"{self._pattern}: all views go into one folder: put {VIEW_FIELD} into the file's name")
         if sequence.pattern.has_views and sequence.views and not self.has_views:
             raise WriteError(f"{target}: one file for {len(sequence.views) + 1} views, which have files of their own: "
-                             f"put {VIEW} into the name, or choose one with --view NAME")
+                             f"put {VIEW_FIELD} into the name, or choose one with --view NAME")
         self._refuse_inputs(sequence)
 
     @property
@@ -490,15 +490,15 @@ def check_folder(folder: Path, option: str) -> None:
 def _output_pattern(target: str, source: Pattern) -> Pattern:
     if not is_utf8(target):
         raise WriteError(f"{make_printable(target)}: is not UTF-8: choose another name")
-    if PLANE in split_folder(target)[1]:
-        raise WriteError(f"{target}: {PLANE} is for input: leave it out, the planes of a frame go into one file")
+    if PLANE_FIELD in split_folder(target)[1]:
+        raise WriteError(f"{target}: {PLANE_FIELD} is for input: leave it out, the planes of a frame go into one file")
     if not (target.endswith("/") or os.path.isdir(target) or not Path(target).suffix):
         return parse_pattern(target)
-    start, end = source.prefix.rpartition("/")[2].replace(PLANE, "frame"), source.suffix
+    start, end = source.prefix.rpartition("/")[2].replace(PLANE_FIELD, "frame"), source.suffix
     if source.is_numbered:
         end = os.path.splitext(f"n{end}")[0][1:]
     else:
         start = os.path.splitext(start)[0]
-    if source.has_views and VIEW not in start + end:
-        start = f"{VIEW}.{start}"
+    if source.has_views and VIEW_FIELD not in start + end:
+        start = f"{VIEW_FIELD}.{start}"
     return Pattern(start, f"{end}.exr", source.digits, f"{target.rstrip('/')}/")

@@ -26,7 +26,7 @@ from postfx.io.exr.passthrough import (
     resize_header,
 )
 from postfx.io.image_file import ImageFile
-from postfx.io.windows import PICTURE, Part, Window
+from postfx.io.windows import PICTURE_ATTRIBUTE, Part, Window
 
 _LETTERS = ("R", "G", "B")
 
@@ -102,7 +102,7 @@ class _ViewMerge:
             beside.set_text("name", f"{self._headers[index].name or 'render'}.other")
             rest = [picture_part(beside, self._read_kept(index, kept))]
         header.set("channels", "chlist", pack_channels(channels))
-        header.set_text(PICTURE, ",".join(name for own in names for name in own.values()))
+        header.set_text(PICTURE_ATTRIBUTE, ",".join(name for own in names for name in own.values()))
         return [picture_part(header, _join(header, order, readers)), *rest]
 
     def _names(self, number: int, is_layered: bool) -> dict[str, str]:
