@@ -49,14 +49,14 @@ exit codes: 0 right; 1 too dark, too bright or drifting; 2 an error whose messag
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
-    EXPOSURE.add_to(parser)
+    EXPOSURE_OPTIONS.add_to(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Measure a sequence; returns the exit code."""
     from postfx.exposure.response import write_chart
 
-    EXPOSURE.refuse_conflicts(arguments)
+    EXPOSURE_OPTIONS.refuse_conflicts(arguments)
     refuse_several_views(arguments, "exposure")
     if arguments.chart:
         print(f"wrote    {write_chart(arguments.chart)}", file=sys.stderr)
@@ -68,14 +68,14 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0 if check.is_right else 1
 
 
-MODES = "auto|smooth|lit|metadata|EV"
+MODE_METAVAR = "auto|smooth|lit|metadata|EV"
 
-EXPOSURE = Options(Section("", (
+EXPOSURE_OPTIONS = Options(Section("", (
     INPUT,
     Option(flag="--frames", metavar="RANGE", help="frames to measure, e.g. 1-100"),
-    Option(flag="--exposure", metavar=MODES, default="auto",
+    Option(flag="--exposure", metavar=MODE_METAVAR, default="auto",
            help="exposure to test, as for 'postfx run' (default: auto)"),
-    Option(flag="--reference", metavar=MODES, default="smooth",
+    Option(flag="--reference", metavar=MODE_METAVAR, default="smooth",
            help="the right exposure (default: smooth, metered on the pictures); give an EV or metadata if the exposure "
            "is an artist's choice"),
     Option(flag="--tonemap", metavar="TAG", either="look", help="look of the tone mapper (default: as 'postfx run')"),

@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from postfx.cli.run_options import DEPTH, FILES, INPUT, refuse_several_views
+from postfx.cli.run_options import DEPTH_OPTION, FILES, INPUT, refuse_several_views
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--guides", metavar="GUIDES", help="AOVs at output size, as for 'postfx run'")
     parser.add_argument("--frames", metavar="RANGE", help="frames to check, e.g. 12 or 1-100: the first eight of them")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
-    DEPTH.add_to(parser)
+    DEPTH_OPTION.add_to(parser)
     FILES.add_to(parser)
     parser.add_argument("--pictures", metavar="DIR",
                         help="write a picture of every AOV of the first frame to this folder")
@@ -75,7 +75,7 @@ def execute(arguments: argparse.Namespace) -> int:
 
 STYLES = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 VERDICTS = {0: "nothing wrong was found", 1: "there are warnings", 2: "there are errors"}
-INDENT, SHOWN = " " * 9, 12
+LINE_INDENT, MOST_LISTED_LINES = " " * 9, 12
 
 
 def print_text(facts: dict[str, Any], exit_code: int) -> None:
@@ -121,8 +121,8 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
 
 def _unread_lines(layers: list[str]) -> list[str]:
     """What the file holds beside the planes, in one line."""
-    more = f" and {len(layers) - SHOWN} more, see --json" if len(layers) > SHOWN else ""
-    return [f"unread   {'; '.join(layers[:SHOWN])}{more}"] if layers else []
+    more = f" and {len(layers) - MOST_LISTED_LINES} more, see --json" if len(layers) > MOST_LISTED_LINES else ""
+    return [f"unread   {'; '.join(layers[:MOST_LISTED_LINES])}{more}"] if layers else []
 
 
 def _finding_lines(finding: dict[str, str]) -> list[str | Text]:
@@ -132,7 +132,8 @@ def _finding_lines(finding: dict[str, str]) -> list[str | Text]:
     head = Text.assemble((f"{level:<9}", STYLES[level]), (finding["code"], "bold"),
                          f" ({finding['role']}): {finding['evidence']}")
     fix, *lines = finding["fix"].splitlines()
-    return [head, f"{INDENT}likely: {finding['cause']}", f"{INDENT}fix:    {fix}", *(INDENT + line for line in lines)]
+    return [head, f"{LINE_INDENT}likely: {finding['cause']}", f"{LINE_INDENT}fix:    {fix}",
+            *(LINE_INDENT + line for line in lines)]
 
 
 def _frames_text(frames: dict[str, int]) -> str:
