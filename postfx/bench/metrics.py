@@ -20,7 +20,7 @@ from postfx.sampling import bilinear, motion_at
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 KEY = 0.18
 TRIMMED = 0.999
-FOLLOWED = 0.1
+FOLLOWED_DIFFERENCE = 0.1
 FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
 """Names of the figures. More is better for psnr (dB) and ssim (up to 1), less for flip (0..1), relmse and flicker."""
 
@@ -82,7 +82,7 @@ def flicker(before: Pictures, now: Pictures, motion: np.ndarray) -> float | None
     Counts pixels where the motion explains the reference (within 0.1); None if there are none.
     """
     result, reference = warp(before.result, motion), warp(before.reference, motion)
-    followed = np.abs(reference - now.reference).max(-1) < FOLLOWED
+    followed = np.abs(reference - now.reference).max(-1) < FOLLOWED_DIFFERENCE
     if not followed.any():
         return None
     return float(1000 * np.abs((now.result - result) - (now.reference - reference)).mean(-1)[followed].mean())

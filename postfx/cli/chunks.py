@@ -248,7 +248,7 @@ class ChunkActor:
         from postfx.cli.job import Job
         from postfx.cli.main import make_parser, read_and_write_by
         from postfx.errors import FarmError, RunError
-        from postfx.runs.locks import BEAT, SILENT
+        from postfx.runs.locks import BEAT, SILENT_SECONDS
         from postfx.version import __version__
 
         machine = socket.gethostname()
@@ -261,7 +261,7 @@ class ChunkActor:
         given = make_parser(["run"]).parse_args(command[1:])
         given.ray = None
         read_and_write_by(given.threads)
-        end = time.monotonic() + SILENT + BEAT
+        end = time.monotonic() + SILENT_SECONDS + BEAT
         while True:
             job = Job(given)
             try:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from postfx.bench.metrics import FOLLOWED, LUMINANCE, warp
+from postfx.bench.metrics import FOLLOWED_DIFFERENCE, LUMINANCE, warp
 from postfx.colour.displays import parse_display
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, Role
@@ -140,7 +140,7 @@ def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, dict
             height, width = frame[Role.COLOUR].shape[:2]
             along = motion_at(motion, np.arange(height), np.arange(width), height, width)
             change = {name: np.abs(now[name] - warp(before[name], along)) for name in looks}
-            followed = change[judge].max(-1) < FOLLOWED
+            followed = change[judge].max(-1) < FOLLOWED_DIFFERENCE
             count += int(followed.sum())
             for name in looks:
                 sums[name] += [x.mean(-1)[followed].sum(dtype=np.float64) for x in (change[name], contrast(now[name]))]
