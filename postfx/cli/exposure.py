@@ -128,9 +128,9 @@ class ExposureCheck:
     @property
     def is_right(self) -> bool:
         """Whether every shot is exposed right."""
-        from postfx.exposure.debugger import RIGHT
+        from postfx.exposure.debugger import RIGHT_VERDICT
 
-        return self._report.verdict == RIGHT
+        return self._report.verdict == RIGHT_VERDICT
 
     def as_dict(self) -> dict[str, Any]:
         """What was measured, in plain types; EV are stops, levels parts of the signal."""
@@ -234,7 +234,7 @@ def _views(clean: Frame, display: np.ndarray, exposure_factor: float) -> Iterato
 
 
 def _row(shot: Shot, report: Report) -> str:
-    from postfx.exposure.debugger import DRIFTING
+    from postfx.exposure.debugger import DRIFTING_VERDICT
 
     frames = str(shot.first) if shot.first == shot.last else f"{shot.first}-{shot.last}"
     low, high = report.limits_ev  # black and white: beyond them nothing can be measured
@@ -242,7 +242,7 @@ def _row(shot: Shot, report: Report) -> str:
     mismatch = f"{'beyond ' * bool(bound)}{shot.mismatch_ev:+.2f} EV"
     right = f"{bound}{shot.right_ev:+.2f} EV (x {2**shot.right_ev:.3g})"
     row = f"{frames:<12}{shot.level:>8.1%}{mismatch:>17}{shot.drift_ev:>7.2f} EV  {right:<24}{shot.verdict}"
-    return row + (f" by {shot.drift_ev:.2f} EV" if shot.verdict == DRIFTING else "")
+    return row + (f" by {shot.drift_ev:.2f} EV" if shot.verdict == DRIFTING_VERDICT else "")
 
 
 def _round(values: dict[str, Any]) -> dict[str, Any]:

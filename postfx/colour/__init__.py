@@ -104,7 +104,7 @@ def matrix_between(source: Chromaticities, target: Chromaticities) -> np.ndarray
     return matrix
 
 
-WIDER = matrix_between(REC709, ACES2065_1)
+TO_WIDER_PRIMARIES = matrix_between(REC709, ACES2065_1)
 """To primaries as much wider than a picture's own as those of ACES2065-1, which hold all light that there is, are than
 Rec.709's. No number is negative, so reflectance stays positive, and rows add up to 1, so grey stays as it is."""
 

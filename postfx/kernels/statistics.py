@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from postfx.colour import WIDER
+from postfx.colour import TO_WIDER_PRIMARIES
 from postfx.compiled.calls import whole
 from postfx.compiled.library import Rows
 from postfx.planes import share
@@ -193,5 +193,5 @@ def light_outside(colour: np.ndarray) -> float:
     lit = brightest > 0
     seen = pixels[lit] / (np.exp(np.log(brightest[lit]).mean()) + brightest[lit])[:, None] if lit.any() else pixels
     mixed = seen[seen.max(1, initial=-1.0) > 0]
-    gained = np.minimum(mixed @ WIDER.T, 0).sum() - np.minimum(mixed, 0).sum()
+    gained = np.minimum(mixed @ TO_WIDER_PRIMARIES.T, 0).sum() - np.minimum(mixed, 0).sum()
     return float(gained / max(np.abs(seen).sum(), 1e-12))

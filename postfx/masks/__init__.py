@@ -7,7 +7,7 @@ explains them and the matching command-line options.
 
 from postfx.errors import StrengthError
 from postfx.masks.cryptomatte import (
-    AUTO,
+    SKY_NAME,
     Cryptomatte,
     Entry,
     id_of_name,

@@ -101,7 +101,7 @@ class _Kind(NamedTuple):
     shown_by: str
 
 
-_KINDS = _Kind("grid", SMOOTH, SLICE_APPLY, "grid"), _Kind("stops", EXPOSE, APPLY_CUBE, "params")
+_LOOK_KINDS = _Kind("grid", SMOOTH, SLICE_APPLY, "grid"), _Kind("stops", EXPOSE, APPLY_CUBE, "params")
 
 
 class ToneMap(Pass):
@@ -140,7 +140,7 @@ class ToneMap(Pass):
         library, model = find_model(str(self.options["look"]))
         network = device.pipeline_state(library, model)
         made = {binding.name for binding in network.bindings}
-        self._kind = next((kind for kind in _KINDS if kind.made in made), None)
+        self._kind = next((kind for kind in _LOOK_KINDS if kind.made in made), None)
         check_constants(model, network.constants, "grid" in made)
         self._shaper, given = shaper(library, model), self.options["keep"]
         keep = keep_of(library, model) if given is None else float(given)

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.colour.views import BANDS
+from postfx.colour.views import FALSE_COLOUR_BANDS
 from postfx.errors import WriteError
-from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot
+from postfx.exposure.debugger import DRIFTING_VERDICT, RIGHT_VERDICT, Report, Shot
 from postfx.files import write_atomically
 from postfx.report.frame_log import Row
 from postfx.report.pictures import png
@@ -93,9 +93,9 @@ def add_key(picture: np.ndarray) -> np.ndarray:
     """The picture, uint8 (height, width, 3), with a key of the false-colour bands below."""
     height, width, _ = picture.shape
     across = max(width // KEY_COLUMN_PX, 1)
-    rows = -(-len(BANDS) // across)
+    rows = -(-len(FALSE_COLOUR_BANDS) // across)
     canvas = Canvas(width, rows * KEY_ROW_PX + 8, KEY_PAPER)
-    for index, band in enumerate(BANDS):
+    for index, band in enumerate(FALSE_COLOUR_BANDS):
         x, y = 10 + index % across * (width // across), 4 + index // across * KEY_ROW_PX
         canvas.box(x, y + 5, x + 14, y + 17, band.colour)
         text = f"{100 * band.low:g}-{100 * band.high:g} %  {band.meaning}"
@@ -223,8 +223,8 @@ class _Plot:
 
     def _name(self, shot: Shot, begin: float, end: float) -> None:
         """The verdict below a shot, if there is room."""
-        by = shot.drift_ev if shot.verdict == DRIFTING else abs(shot.mismatch_ev)
-        text = shot.verdict if shot.verdict == RIGHT else f"{shot.verdict} by {by:.2f} EV"
+        by = shot.drift_ev if shot.verdict == DRIFTING_VERDICT else abs(shot.mismatch_ev)
+        text = shot.verdict if shot.verdict == RIGHT_VERDICT else f"{shot.verdict} by {by:.2f} EV"
         if end - begin > 9 * len(text):
             self.canvas.text((begin + end) / 2, PLOT_BOTTOM_PX + 16, text, INK_RGB, 16, "center")
 

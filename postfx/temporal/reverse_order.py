@@ -25,7 +25,7 @@ from postfx.temporal.reverse_motion import LONGEST, HistoryLength, premultiply, 
 
 RUN_UP = 8
 """Frames of a run-up. With half as many, some frames after the first come out worse than without a run-up."""
-PART = 32
+PART_FRAMES = 32
 """Frames of a part, which run in reverse order together; their results are kept until they are needed."""
 HALF_MAX = np.float32(65504)
 """Largest number of half precision."""
@@ -258,7 +258,7 @@ class Backwards:
 
     def _limits(self, index: int) -> tuple[int, int]:
         """Index after the last frame of a frame's part, and index after the last frame of its run-up."""
-        end = min((index // PART + 1) * PART, self._asked)
+        end = min((index // PART_FRAMES + 1) * PART_FRAMES, self._asked)
         return end, min(end + RUN_UP, len(self._numbers))
 
     def _run(self, first: int, check: Callable[[], None]) -> None:

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def test_every_pass_has_its_entry_point():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["entry-points"][registry.GROUP] == registry.BUILT_IN
+    assert project["entry-points"][registry.ENTRY_POINT_GROUP] == registry.BUILT_IN
     for name, target in registry.BUILT_IN.items():
         assert registry.load(name).__name__ == target.partition(":")[2] and registry.load(name).name == name
 
@@ -40,7 +40,7 @@ def test_create_passes_options_on():
 
 
 def points(target: str, name: str = "foreign", count: int = 1) -> dict[str, tuple[EntryPoint, ...]]:
-    return {name: (EntryPoint(name, target, registry.GROUP),) * count}
+    return {name: (EntryPoint(name, target, registry.ENTRY_POINT_GROUP),) * count}
 
 
 class Foreign(Pass):
