@@ -51,7 +51,7 @@ class Kind(NamedTuple):
     Attributes:
         height, width: of the picture.
         aids: names of the planes beside it.
-        planes: how these are taken, one of WAYS.
+        planes: how these are taken, one of GUIDE_WAYS.
         hdr: whether the picture is light without a limit.
     """
 
@@ -73,7 +73,7 @@ class OpenImageDenoise:
         quality: 'fast', 'balanced' or 'high'.
         device: 'cpu' or 'cuda'.
         threads: CPU threads.
-        planes: how albedo and normal are taken, one of WAYS.
+        planes: how albedo and normal are taken, one of GUIDE_WAYS.
 
     Attributes:
         milliseconds: total time in the filters, without copies to and from the device.

@@ -85,7 +85,7 @@ class RepeatDetector:
         return bool(repeats >= FEWEST_REPEATING_SQUARES and self.share >= LEAST_SHARE and repeats > 2 * new)
 
     def _light(self, planes: Mapping[Role, np.ndarray]) -> np.ndarray:
-        """White light of the squares (rows, columns, SIDE, SIDE), 0 to 1, about 1/2 in the middle of each square."""
+        """White light of the squares (rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX), 0 to 1, about 1/2 in the middle of each square."""
         albedos = [squares(planes[role]) for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
         colour = squares(planes[Role.COLOUR])
         light = np.maximum(luminance(colour / np.maximum(sum(albedos), BLACK_ALBEDO) if albedos else colour), 0)
@@ -95,7 +95,7 @@ class RepeatDetector:
 
 
 def squares(plane: np.ndarray) -> np.ndarray:
-    """(rows, columns, SIDE, SIDE, channels) of a plane (height, width, channels)."""
+    """(rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX, channels) of a plane (height, width, channels)."""
     (rows, down), (columns,
                    right) = _places(plane.shape[0], MOST_SQUARE_ROWS), _places(plane.shape[1], MOST_SQUARE_COLUMNS)
     some: np.ndarray = plane[down][:, right].reshape(rows, REPEAT_SIDE_PX, columns, REPEAT_SIDE_PX, -1).swapaxes(1, 2)

@@ -170,7 +170,7 @@ METHOD_COLOURS = {"ours": "#0b62b8", "oidn": "#c8500a", "plain": "#666666"}
 LABELS = {"psnr_late": "PSNR, dB (up is better)", "flicker_late": "flicker, x1000 (down is better)"}
 SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14, -4), (10, 18), (10, -26), (-10, 18),
          (-10, -26), (0, 26), (0, -34), (24, 30), (24, -38)]
-"""Places for a label, in points from its dot; the first free one is used, with a line to the dot unless NEAR."""
+"""Places for a label, in points from its dot; the first free one is used, with a line to the dot unless `LABEL_DISTANCE` or less away."""
 LABEL_DISTANCE = 8
 Point = tuple[float, float, dict[str, Any]]
 """Position of a method's dot, and its row."""

@@ -69,13 +69,13 @@ HARD: dict[str, Change] = LIGHT_CHANGES | {
     "misses": set_planes(**_MISSES), "black misses": set_planes(colour=0, **_MISSES),
     "everything NaN": set_planes(**dict.fromkeys(map(str, Role), np.nan)),
 }
-"""Name -> change of a frame; LIGHTS change its colour alone."""
+"""Name -> change of a frame; LIGHT_CHANGES change its colour alone."""
 
 
 @dataclass(frozen=True)
 class Outcome:
     """The result on a hard input: the largest exposed light, NaN if any is NaN. It is well if exposed light is finite
-    and in [0, BRIGHTEST], and tone-mapped light in [0, 1]."""
+    and in [0, BRIGHTEST_OUTPUT], and tone-mapped light in [0, 1]."""
 
     model: str
     case: str

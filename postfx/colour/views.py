@@ -19,7 +19,7 @@ from postfx.colour.displays import Display, parse_display, srgb_encode
 
 CUBE_SIDE = 65
 AXIS_TOE, WHITEST = 2.0**-10, 2.0**8
-"""The axes: log2(1 + x / TOE) * SCALE is 0..1 for light of 0..WHITEST, where mid grey is 0.18."""
+"""The axes: log2(1 + x / AXIS_TOE) * AXIS_SCALE is 0..1 for light of 0..WHITEST, where mid grey is 0.18."""
 AXIS_SCALE = float(1 / np.log2(1 + WHITEST / AXIS_TOE))
 _START, _DESATURATION, _OFFSET = 0.8, 0.15, 0.04
 
@@ -102,7 +102,7 @@ def axis(size: int = CUBE_SIDE) -> np.ndarray:
 
 
 def bake(view: View) -> np.ndarray:
-    """A view's cube, (SIZE, SIZE, SIZE, 3) float32: red, green, blue, channel."""
+    """A view's cube, (CUBE_SIDE, CUBE_SIDE, CUBE_SIDE, 3) float32: red, green, blue, channel."""
     light = axis()
     corners = np.stack(np.meshgrid(light, light, light, indexing="ij"), -1)
     cube: np.ndarray = np.clip(view.apply(corners), 0, 1).astype(np.float32)

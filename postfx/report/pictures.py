@@ -146,7 +146,7 @@ NOT_FINITE = (LARGEST_SIDE_PX, 0, LARGEST_SIDE_PX)
 
 
 def encode_light(light: np.ndarray, highest: float) -> np.ndarray:
-    """Light (height, width, 3) as codes 0..511, uint16: 511 log(1 + light / TOE) / log(1 + highest / TOE).
+    """Light (height, width, 3) as codes 0..511, uint16: 511 log(1 + light / EVEN_LIGHT) / log(1 + highest / TOE).
 
     Negative light and light above `highest` is clipped; non-finite pixels become magenta. Up to 64, a stop has 36
     codes; x / (1 + x) in sRGB has at most 32 of a screen's 255 steps in a stop.

@@ -154,7 +154,7 @@ class Backwards:
         wrap: as for a `Pipeline`.
         options: of `DenoiseUpscale`, the same as for the frames in order.
 
-    The sequence runs in parts of PART frames, each from its last frame to its first, after a run-up over the frames
+    The sequence runs in parts of PART_FRAMES frames, each from its last frame to its first, after a run-up over the frames
     after it. Frames of the run-up may lie beyond the end of the sequence if their files exist. Frames that cannot be
     read are skipped without an error.
 
