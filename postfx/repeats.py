@@ -85,7 +85,8 @@ class RepeatDetector:
         return bool(repeats >= FEWEST_REPEATING_SQUARES and self.share >= LEAST_SHARE and repeats > 2 * new)
 
     def _light(self, planes: Mapping[Role, np.ndarray]) -> np.ndarray:
-        """White light of the squares (rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX), 0 to 1, about 1/2 in the middle of each square."""
+        """White light of the squares (rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX), 0 to 1, about 1/2 in the middle
+        of each square."""
         albedos = [squares(planes[role]) for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
         colour = squares(planes[Role.COLOUR])
         light = np.maximum(luminance(colour / np.maximum(sum(albedos), BLACK_ALBEDO) if albedos else colour), 0)

@@ -32,7 +32,7 @@ import numpy as np
 from postfx.errors import FrameError, MemoryBudgetError
 from postfx.workers import Workers
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE_FOLDER = Path(__file__).resolve().parent
 MOST_HEAPS = -8  # M_ARENA_MAX of glibc's malloc.h
 _GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
@@ -41,8 +41,8 @@ _GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
 def models_dir() -> Path:
     """Folder of the model packages (*.onnx + *.json): inside an installed wheel, or `models/` of a checkout."""
-    packaged = _PACKAGE / "_models"
-    return packaged if packaged.is_dir() else _PACKAGE.parent / "models"
+    packaged = _PACKAGE_FOLDER / "_models"
+    return packaged if packaged.is_dir() else _PACKAGE_FOLDER.parent / "models"
 
 
 def is_plain_name(name: str) -> bool:

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from postfx import Device, Library
 from postfx.compiled.library import Rows
-from postfx.kernels.occlusion import FAR, HORIZONS, LOOK, LOOKS, SMOOTH, SURFACE
+from postfx.kernels.occlusion import FAR, FIND_LOOKS, FIND_SURFACE, HORIZONS, LOOK, SMOOTH_OCCLUSION
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable, Tensor
 from postfx.system import models_dir
@@ -71,7 +71,7 @@ parser.add_argument("--hidden", type=int, nargs="+", default=(64, 64))
 parser.add_argument("--threads", type=int, default=1)
 chosen = parser.parse_args()
 device, random = Device("cpu", threads=chosen.threads), np.random.default_rng(0)
-states = {kernel: device.compute_state(kernel) for kernel in (SURFACE, HORIZONS, SMOOTH, LOOKS)}
+states = {kernel: device.compute_state(kernel) for kernel in (FIND_SURFACE, HORIZONS, SMOOTH_OCCLUSION, FIND_LOOKS)}
 
 
 def views_of(folder: Path | None, seeds: range) -> list[dict[str, np.ndarray]]:
@@ -92,8 +92,8 @@ def looked_at(view: dict[str, np.ndarray], k: int) -> tuple[dict[str, Tensor], f
             "raw": new("raw", (height, width)), "smooth": new("smooth", (height, width)),
             "points": new("points", (height * width, LOOK))}
     commands = device.command_buffer("occlusion")
-    for kernel, renamed in ((SURFACE, {}), (HORIZONS, {"visible": "raw"}), (SMOOTH, {"noisy": "raw",
-                            "visible": "smooth"}), (LOOKS, {})):
+    for kernel, renamed in ((FIND_SURFACE, {}), (HORIZONS, {"visible": "raw"}), (SMOOTH_OCCLUSION, {"noisy": "raw",
+                            "visible": "smooth"}), (FIND_LOOKS, {})):
         with commands.compute_encoder(kernel.name) as encoder:
             encoder.barrier(after="compute", before="compute")
             names = (*kernel.reads, *kernel.writes)

@@ -14,11 +14,11 @@ import numpy as np
 from skimage.metrics import structural_similarity
 
 from postfx.colour.views import to_codes
+from postfx.exposure import KEY
 from postfx.frame import Frame, Role
 from postfx.sampling import bilinear, motion_at
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-KEY = 0.18
+LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 TRIMMED = 0.999
 FOLLOWED_DIFFERENCE = 0.1
 FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
@@ -27,7 +27,7 @@ FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
 
 def grey_factor(colour: np.ndarray) -> float:
     """Multiplier that brings the log-average luminance to 0.18 (Reinhard 2002, with a floor of 0.1 % of the mean)."""
-    luminance = colour @ LUMINANCE
+    luminance = colour @ LUMINANCE_WEIGHTS
     return float(KEY / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean()))))
 
 

@@ -170,8 +170,9 @@ METHOD_COLOURS = {"ours": "#0b62b8", "oidn": "#c8500a", "plain": "#666666"}
 LABELS = {"psnr_late": "PSNR, dB (up is better)", "flicker_late": "flicker, x1000 (down is better)"}
 SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14, -4), (10, 18), (10, -26), (-10, 18),
          (-10, -26), (0, 26), (0, -34), (24, 30), (24, -38)]
-"""Places for a label, in points from its dot; the first free one is used, with a line to the dot unless `LABEL_DISTANCE` or less away."""
-LABEL_DISTANCE = 8
+"""Places for a label, in points from its dot; the first free one is used, with a line to the dot unless
+it is one of the first `NEAR_SPOTS`."""
+NEAR_SPOTS = 8
 Point = tuple[float, float, dict[str, Any]]
 """Position of a method's dot, and its row."""
 
@@ -306,7 +307,7 @@ def _place(
     _, index, box = min(found, key=lambda item: item[:2])
     _stand(label, *SPOTS[index])
     assert label.arrow_patch is not None  # made with arrowprops
-    label.arrow_patch.set_visible(index >= LABEL_DISTANCE)
+    label.arrow_patch.set_visible(index >= NEAR_SPOTS)
     return box
 
 

@@ -14,6 +14,7 @@ from postfx.doctor import Finding, correlation, error, finite, info, largest, no
 from postfx.doctor.geometry import (
     CAMERA_AXES,
     DEPTH_VARIANTS,
+    SAME_AXES_DEGREES,
     DepthKind,
     Fit,
     are_scaled,
@@ -107,7 +108,6 @@ def _facing(fit: Fit, stored: float, kind: DepthKind = DEPTH_VARIANTS[0]) -> str
             f"view {fit.fov_x:.4g} degrees; {stored:.3g} degrees as it is")
 
 
-SAME_AXES = 3.0  # degrees
 DEPTH_EXPLAINS = 4.0
 FEW_POINTS, FEW_MIXED = 500, 4.0  # the second in percent
 LEAST_MOTION_PX, RIGHT_MOTION_ERROR = 0.1, 0.1  # pixels, part of the motion
@@ -159,15 +159,15 @@ def check_normal_space(material: Material) -> Iterator[Finding]:
     off = _turn(fit.matrix, world)
     evidence = (f"normals are turned by {off:.3g} degrees from the world of worldToCamera, "
                 f"by {camera:.2g} degrees from the camera's axes")
-    if camera < SAME_AXES:
+    if camera < SAME_AXES_DEGREES:
         yield error(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space",
                     "write world normals, or in a profile space = \"camera\"")
-    elif (inverted := min(_turn(fit.matrix, -matrix) for matrix in world_axes(frame))) < SAME_AXES:
+    elif (inverted := min(_turn(fit.matrix, -matrix) for matrix in world_axes(frame))) < SAME_AXES_DEGREES:
         evidence = f"negated, they are within {inverted:.2g} degrees of the normals that depth and camera give"
         yield error(Role.NORMAL, "normal-inverted", evidence, "normals point away from the viewer",
                     "negate them, in a profile scale = [-1, -1, -1]")
     elif not _is_right(material) and min(
-            _turn(fit.matrix, axes @ frame.world_to_camera[:3, :3]) for axes in CAMERA_AXES) < SAME_AXES:
+            _turn(fit.matrix, axes @ frame.world_to_camera[:3, :3]) for axes in CAMERA_AXES) < SAME_AXES_DEGREES:
         yield error("sequence", "matrix-transposed", evidence, "worldToCamera stored for column vectors, or inverted",
                     "store it for row vectors (p_camera = p_world M)")
     elif (other := _other_axes(frame, fit)) is not None:
@@ -232,11 +232,11 @@ def _other_axes(frame: Frame, fit: Fit) -> tuple[str, float] | None:
             found.append((angle, ", ".join(("-" if sign < 0 else "") + "xyz"[axis]
                                            for axis, sign in zip(order, signs, strict=True))))
     angle, name = min(found)
-    return (f"channels in the order {name}", angle) if angle < SAME_AXES else None
+    return (f"channels in the order {name}", angle) if angle < SAME_AXES_DEGREES else None
 
 
 def _without_matrix(camera: float) -> Iterator[Finding]:
-    if camera < SAME_AXES:
+    if camera < SAME_AXES_DEGREES:
         evidence = f"normals are within {camera:.2g} degrees of the camera's axes; certain only with worldToCamera"
         yield warning(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space, or the camera looks "
                       "along an axis of the world and stands still", "write world normals and a worldToCamera header")

@@ -32,7 +32,7 @@ ALIKE_MISFIT_RATIO = 1.08
 """A common unit takes the place of the best fit if its misfit is at most this many times as large."""
 FITTING_MISFIT_SHARE, FITTING_COMMON_MISFIT_SHARE = 0.7, 0.87
 """Motion is understood if its misfit is below this part of the misfit without motion: in any unit, in a common one."""
-_SIGN_PAIRS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+_SIGN_CHOICES = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _coarse(pairs: Sequence[_Pair], offset: float) -> list[Convention]:
         steps = int(np.log(LONGEST_TRIED_PX / SHORTEST_TRIED_PX) / np.log(COARSE_FACTOR)) + 1
         factors = [SHORTEST_TRIED_PX / length / most * COARSE_FACTOR**step for step in range(steps)]
         found += [Convention(swapped, signs, unit, factor, offset)
-                  for factor in factors for swapped in (False, True) for signs in _SIGN_PAIRS]
+                  for factor in factors for swapped in (False, True) for signs in _SIGN_CHOICES]
     return found
 
 

@@ -22,17 +22,17 @@ from postfx.io.windows import PICTURE_ATTRIBUTE
 def _picture_rules(told: str) -> tuple[PlaneRule, ...]:
     """Rules for a picture that an earlier run wrote: under its own names, if these are not plain R, G, B."""
     names = told.split(",")
-    red = next((name for name in names if name.rpartition(".")[2] in _ALPHAS), "")
+    red = next((name for name in names if name.rpartition(".")[2] in ALPHA_OF_RED), "")
     layer, _, letter = red.rpartition(".")
     if not layer or {"R", "G", "B"} <= {*names}:
         layer, letter = "", "R"
     letters = next(tuple(word) for word in _COLOURS if word[0] == letter)
-    return (PlaneRule(Role.COLOUR, (layer,), (letters,)), PlaneRule(Role.ALPHA, (layer,), ((_ALPHAS[letter],),)))
+    return (PlaneRule(Role.COLOUR, (layer,), (letters,)), PlaneRule(Role.ALPHA, (layer,), ((ALPHA_OF_RED[letter],),)))
 
 
 _COLOURS = (("R", "G", "B"), ("r", "g", "b"), ("red", "green", "blue"), ("Red", "Green", "Blue"),
             ("RED", "GREEN", "BLUE"))
-_ALPHAS = {"R": "A", "r": "a", "red": "alpha", "Red": "Alpha", "RED": "ALPHA"}
+ALPHA_OF_RED = {"R": "A", "r": "a", "red": "alpha", "Red": "Alpha", "RED": "ALPHA"}
 
 
 class Match(NamedTuple):

@@ -16,7 +16,7 @@ from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Layout
 from postfx.masks.cryptomatte import (
-    SKY_NAME,
+    AUTO,
     Coverage,
     Cryptomatte,
     Entry,
@@ -148,7 +148,7 @@ class LeftAlone:
                   *(ERROR_READS if self._basis else ())}
         self.reads = tuple(role for role in layout.planes if role in looked)
         if self._auto() and not {Role.DEPTH, Role.NORMAL, Role.ALPHA} & set(self.reads):
-            raise StrengthError(f"{path}: '{SKY_NAME}' has no plane to look at: render depth, normals or alpha, too")
+            raise StrengthError(f"{path}: '{AUTO}' has no plane to look at: render depth, normals or alpha, too")
         self.shares = Coverage()
 
     def strength(self, planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> np.ndarray:

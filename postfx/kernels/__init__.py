@@ -133,9 +133,9 @@ class Kernel:
 
 # Sources of kernels
 
-SOURCES = _PACKAGE
+KERNEL_SOURCES = _PACKAGE
 """Where our kernels lie, beside the modules that their constants come from."""
-SHARED = SOURCES / "kernels"
+SHARED = KERNEL_SOURCES / "kernels"
 _KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(')
 _NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
 _TYPES = {int: "int", np.float64: "double"}
@@ -144,7 +144,7 @@ _TYPES = {int: "int", np.float64: "double"}
 
 def find_source(kernel: Kernel) -> Path | None:
     """The file that holds a kernel; None where it is not written for CUDA."""
-    return _families(kernel.home or SOURCES).get(kernel.name)
+    return _families(kernel.home or KERNEL_SOURCES).get(kernel.name)
 
 
 @cache
@@ -154,7 +154,7 @@ def read_source(family: Path) -> str:
     A plug-in's `#include <postfx/mlp.cuh>` becomes that header."""
     view = (SHARED / "view.cuh").read_text()
     own = "".join(path.read_text() for path in (family.with_suffix(".cuh"), family) if path.exists())
-    if not family.is_relative_to(SOURCES):
+    if not family.is_relative_to(KERNEL_SOURCES):
         return view + own.replace("#include <postfx/mlp.cuh>", _network_source(), 1)
     source = (SHARED / "common.cuh").read_text() + own
     return view + print_constants(constants_of(family, source)) + source
@@ -178,7 +178,7 @@ def constants_of(family: Path, source: str) -> dict[str, Any]:
     """Numbers of Python that a source of ours names, by name: those of the module beside its file, those that the
     upscaler's kernels share, and those of this module. A pair NAME of a low and a high number is NAME_LOW and
     NAME_HIGH."""
-    own = ".".join(("postfx", *family.relative_to(SOURCES).with_suffix("").parts))
+    own = ".".join(("postfx", *family.relative_to(KERNEL_SOURCES).with_suffix("").parts))
     known: dict[str, Any] = {}
     for module in (__name__, "postfx.kernels.denoise", own):
         known |= vars(import_module(module))
@@ -201,5 +201,5 @@ def print_constants(constants: Mapping[str, Any]) -> str:
 @cache
 def _families(folder: Path) -> dict[str, Path]:
     """Every kernel's file by the kernel's name: below our folder, or in a plug-in's."""
-    sources = sorted(folder.rglob("*.cu") if folder == SOURCES else folder.glob("*.cu"))
+    sources = sorted(folder.rglob("*.cu") if folder == KERNEL_SOURCES else folder.glob("*.cu"))
     return {name: path for path in sources for name in _KERNEL.findall(path.read_text())}

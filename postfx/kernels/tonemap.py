@@ -75,17 +75,17 @@ FOLLOW = Kernel(
 )
 
 LEVELS, COEFFICIENTS = 8, 12
-GRID = (1, 16, 16, LEVELS, COEFFICIENTS)
+GRID_SHAPE = (1, 16, 16, LEVELS, COEFFICIENTS)
 BROKEN = np.float32(1e4)
 """Change beyond that of any grid, as is NaN: there `previous` counts for nothing."""
 
-SMOOTH = Kernel(
+SMOOTH_GRID = Kernel(
     name="smooth",
     reads=("previous", "current", "keep"),
     writes=("result",),
     rows=Rows("smooth"),
     row_axis=("result", 1),
-    shapes={"previous": GRID, "current": GRID, "keep": (1, 4), "result": GRID},
+    shapes={"previous": GRID_SHAPE, "current": GRID_SHAPE, "keep": (1, 4), "result": GRID_SHAPE},
 )
 
 MOST_STOPS = np.float64(64)
@@ -115,7 +115,7 @@ SLICE_APPLY = Kernel(
         "params": (3,),
         "matrix": (9,),
         "guide": (GUIDE_SIZE,),
-        "grid": GRID,
+        "grid": GRID_SHAPE,
         "cube": ("size", "size", "size", 3),
         "output": ("height", "width", 3),
     },

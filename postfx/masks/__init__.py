@@ -7,7 +7,7 @@ explains them and the matching command-line options.
 
 from postfx.errors import StrengthError
 from postfx.masks.cryptomatte import (
-    SKY_NAME,
+    AUTO,
     Cryptomatte,
     Entry,
     id_of_name,

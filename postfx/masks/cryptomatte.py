@@ -18,7 +18,7 @@ import numpy as np
 
 from postfx.errors import StrengthError
 
-SKY_NAME = "auto"
+AUTO = "auto"
 """The name that stands for sky and misses."""
 CONVERGED = "converged"
 """The word for converged pixels, before : and a threshold."""
@@ -48,7 +48,7 @@ class Entry:
     @property
     def is_auto(self) -> bool:
         """Whether it selects sky and misses."""
-        return self.name == SKY_NAME and self.plane is None
+        return self.name == AUTO and self.plane is None
 
     @property
     def is_converged(self) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from postfx.errors import FrameError, ModelError, PassOptionError
 from postfx.frame import DEPTH_MISS, LOG, Frame, FrameSpec, Role
-from postfx.kernels.occlusion import CAMERA, HORIZONS, SMOOTH, SURFACE
+from postfx.kernels.occlusion import CAMERA, FIND_SURFACE, HORIZONS, SMOOTH_OCCLUSION
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.scene_points import POINT, SceneBox, light_of, points_of
 from postfx.runtime import (
@@ -186,9 +186,9 @@ class Occlusion(_Linear):
         camera[11] *= np.float32(raw.shape[0] / depth.shape[0])
         surface = np.empty((*raw.shape, 4), np.float32)
         height = len(raw)
-        in_bands(height, SURFACE.rows, normal, far, camera, surface)
+        in_bands(height, FIND_SURFACE.rows, normal, far, camera, surface)
         in_bands(height, HORIZONS.rows, surface, camera, SETTINGS, raw)
-        in_bands(height, SMOOTH.rows, surface, raw, smooth)
+        in_bands(height, SMOOTH_OCCLUSION.rows, surface, raw, smooth)
 
     def _darken(self, colour: np.ndarray, visible: np.ndarray, output: np.ndarray) -> None:
         seen = np.clip(visible[_middle(colour.shape, visible.shape)][..., None], 0, 1)

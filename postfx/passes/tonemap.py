@@ -14,7 +14,7 @@ from postfx.errors import PassOptionError
 from postfx.frame import FrameSpec, Role
 from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, form_of
-from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
+from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH_GRID
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
 
@@ -101,7 +101,7 @@ class _Kind(NamedTuple):
     shown_by: str
 
 
-_LOOK_KINDS = _Kind("grid", SMOOTH, SLICE_APPLY, "grid"), _Kind("stops", EXPOSE, APPLY_CUBE, "params")
+_LOOK_KINDS = _Kind("grid", SMOOTH_GRID, SLICE_APPLY, "grid"), _Kind("stops", EXPOSE, APPLY_CUBE, "params")
 
 
 class ToneMap(Pass):

@@ -21,7 +21,15 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from postfx.errors import CheckpointError, ManifestError, WriteError
-from postfx.files import PIECE_BYTES, despite_readers, hash_file, parse_json, remove, remove_leftovers, write_atomically
+from postfx.files import (
+    FILE_PIECE_BYTES,
+    despite_readers,
+    hash_file,
+    parse_json,
+    remove,
+    remove_leftovers,
+    write_atomically,
+)
 from postfx.runs.locks import Claim, FolderLock, is_alive
 from postfx.runs.manifest import MANIFEST_NAME, WORK_FOLDER, Manifest, Output, load_manifest, update_manifest
 
@@ -202,8 +210,8 @@ def save_checkpoint(
         contents: list[bytes | memoryview] = [header]
         contents += [array.reshape(-1).data.cast("B") for array in arrays.values()]
         for content in contents:
-            for first in range(0, len(content), PIECE_BYTES):
-                piece = content[first : first + PIECE_BYTES]
+            for first in range(0, len(content), FILE_PIECE_BYTES):
+                piece = content[first : first + FILE_PIECE_BYTES]
                 digest.update(piece)
                 file.write(piece)
                 if relax:
@@ -276,7 +284,7 @@ def _is_altered(path: Path) -> bool:
     digest, left = hashlib.sha256(), path.stat().st_size - _DIGEST
     with _open(path) as file:
         while left > 0:
-            piece = file.read(min(left, PIECE_BYTES))
+            piece = file.read(min(left, FILE_PIECE_BYTES))
             if not piece:
                 return True
             digest.update(piece)

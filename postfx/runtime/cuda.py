@@ -339,7 +339,7 @@ def _let_wait(stream: int, event: Event) -> None:
     check_result(driver().cuStreamWaitEvent(stream, event.handle, 0))
 
 
-MOST_GRAPHS = 16
+MOST_CAPTURED_GRAPHS = 16
 """Graphs that are kept. A pipeline needs two, because its history alternates between two sets of tensors."""
 
 
@@ -393,8 +393,9 @@ class CudaGraphs:
 
     def __init__(self, stream: int) -> None:
         self._stream = stream
-        self._known: LRUCache[Hashable, Graph | None] = LRUCache(MOST_GRAPHS)  # None: ran, but was not captured
-        self._refused: LRUCache[Hashable, None] = LRUCache(MOST_GRAPHS)
+        # None: ran, but was not captured
+        self._known: LRUCache[Hashable, Graph | None] = LRUCache(MOST_CAPTURED_GRAPHS)
+        self._refused: LRUCache[Hashable, None] = LRUCache(MOST_CAPTURED_GRAPHS)
         self.capturing = False
 
     def replay(self, key: Hashable, kept: Any, enqueue: Callable[[], Any]) -> Any:

@@ -34,6 +34,7 @@ from postfx.frame import ColourSource, Frame
 from postfx.io.exr import SCANLINE_IMAGE, TILED_IMAGE, ChannelInfo, Header, pack_channels, raw
 from postfx.io.exr.container import COMPRESSIONS, ZIP, ExrContainer, NewPart, Rows, picture_part
 from postfx.io.image_file import ImageFile
+from postfx.io.layout import ALPHA_OF_RED
 from postfx.io.windows import AREA, EXR_NAMES, PICTURE_ATTRIBUTE, Part, Window, cover, output_windows
 
 
@@ -166,8 +167,7 @@ _STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrd
               "chunkCount", "maxSamplesPerPixel", "dwaCompressionLevel")
 _INVENTED = "capDate"  # OpenImageIO writes today's if there is none
 _RGBA_PART, _RENDER_NAME = "rgba", "render"
-_ALPHAS = {"R": "A", "r": "a", "red": "alpha", "Red": "Alpha", "RED": "ALPHA"}
-_LETTERS = ("R", "G", "B")
+RGB_LETTERS = ("R", "G", "B")
 _NOISY, _SHOWN = "Noisy Image", "Combined"
 """Layers of Cycles: the colour before Blender's own denoiser, and the one after it, which compositors show."""
 
@@ -203,11 +203,11 @@ class Merge:
         if self._enlargement:
             return _with_names(self._enlarge_parts(self._enlargement))
         index, colour = self._shown()
-        if not (self._takes(index) and len({*colour}) == len(_LETTERS)):
+        if not (self._takes(index) and len({*colour}) == len(RGB_LETTERS)):
             header = self.header(headers[self._stored.part], in_place=False)
             return _with_names([picture_part(header, self._rows, apart=True),
                                 *(self.as_stored(part, header) for part in range(len(headers)))])
-        names = dict(zip(_LETTERS, colour, strict=True)) | {"A": alpha_of(colour)}
+        names = dict(zip(RGB_LETTERS, colour, strict=True)) | {"A": alpha_of(colour)}
         held = [channel.name for channel in self._own.channels]
         header = self.header(headers[index], in_place=True, names=[names.get(name, name) for name in held])
         fresh: dict[int, dict[str, str]] = {}
@@ -351,7 +351,7 @@ class Merge:
 def alpha_of(colour: tuple[str, ...]) -> str:
     """What alpha beside a colour is called: 'beauty.red' has 'beauty.alpha'."""
     layer, _, red = colour[0].rpartition(".")
-    return ".".join(filter(None, (layer, _ALPHAS.get(red, "A"))))
+    return ".".join(filter(None, (layer, ALPHA_OF_RED.get(red, "A"))))
 
 
 def _select(own: Header, rows: Rows, header: Header | None, names: Mapping[str, str]) -> Rows:

@@ -18,6 +18,7 @@ from postfx.frame import ColourSource, Frame
 from postfx.io.exr import ChannelInfo, Header, pack_channels
 from postfx.io.exr.container import ExrContainer, NewPart, Rows, picture_part
 from postfx.io.exr.passthrough import (
+    RGB_LETTERS,
     Enlargement,
     Merge,
     alpha_of,
@@ -27,8 +28,6 @@ from postfx.io.exr.passthrough import (
 )
 from postfx.io.image_file import ImageFile
 from postfx.io.windows import PICTURE_ATTRIBUTE, Part, Window
-
-_LETTERS = ("R", "G", "B")
 
 
 class View(NamedTuple):
@@ -113,7 +112,7 @@ class _ViewMerge:
         found = {name: name for name in own}
         if view:  # OpenEXR has views before the last word of a name
             found |= {name: f"overlay.{view}.{name[-1]}" for name in own if name.startswith("overlay.")}
-        return found | dict(zip(_LETTERS, colour.channels, strict=True)) | ({"A": alpha} if "A" in own else {})
+        return found | dict(zip(RGB_LETTERS, colour.channels, strict=True)) | ({"A": alpha} if "A" in own else {})
 
     def _kept_channels(self, index: int, written: set[str]) -> list[ChannelInfo]:
         """Channels of the source's part that are no picture's and stay."""
