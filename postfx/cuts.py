@@ -30,7 +30,8 @@ from postfx.sampling import bilinear
 SAME_SHOT_CORRELATION = 0.65
 """Correlation from which two frames are of one shot; see docs/howto/integration.md."""
 
-MOST_CELLS, LEAST_BLOCK = 80, 4
+MOST_CELLS = 80
+LEAST_BLOCK = 4
 LEAST_COMPARED = 48  # cells; fewer do not tell one picture from another
 LEAST_OVERLAP = 0.1  # of the cells that must lead into the frame before
 LAYOUT_CELLS = 17  # cells; wider structure is layout

@@ -32,10 +32,14 @@ __all__ = ["Grid", "Learner", "Network"]
 
 OPSET = 20
 """The first with GELU."""
-CPU_GROUPS, GPU_GROUPS = (256, 64), (64, 132)
-"""Points of a group at least, and groups at most, on the CPU, where a thread sums a group, and on a GPU, where a block
-does."""
-DECAYS, EPSILON = (0.9, 0.999), 1e-8
+
+# Points of a group at least, and groups at most, on the CPU, where a thread sums a group, and on
+# a GPU, where a block does.
+CPU_GROUPS = (256, 64)
+GPU_GROUPS = (64, 132)
+
+DECAYS = (0.9, 0.999)
+EPSILON = 1e-8
 LEAST_RATE = 1e-6
 """What `Learner.fit` ends with."""
 

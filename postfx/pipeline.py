@@ -30,8 +30,10 @@ from postfx.wrap import WRAP_AROUND, WRAP_AUTO, crop, is_panorama, validate_wrap
 if TYPE_CHECKING:
     from postfx.doctor.first_frames import FirstFrames
 
-MOST_COPIES, SMALL_COPY_BYTES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES)), 1 << 20
-"""Planes and guides of all sizes that are kept ready; bytes that are copied sooner than commands are recorded."""
+# Planes and guides of all sizes that are kept ready; bytes that are copied sooner than commands
+# are recorded.
+MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
+SMALL_COPY_BYTES = 1 << 20
 
 RunUp = Callable[[Frame, Callable[[Frame], None]], Frame]
 """Runs frames before one that begins a shot, by the function that it is given, and says as what that one is run."""

@@ -15,14 +15,21 @@ from postfx.system import Scratch
 
 LEAST_KNOWN_SHARE = 0.75
 """Share of a pixel's neighbours that must be finite: repairs one, two or three bad pixels, not the edge of a sun."""
-LONGEST_BLOCK_PX, LEAST_RIM_SHARE = 4, 0.375
-"""Longest side in pixels of a block of bad pixels that is repaired, and the share of finite neighbours at its rim."""
+
+# Longest side in pixels of a block of bad pixels that is repaired, and the share of finite
+# neighbours at its rim.
+LONGEST_BLOCK_PX = 4
+LEAST_RIM_SHARE = 0.375
+
 MOST_BAD_SHARE = 0.5
 """Share of bad pixels in the colour above which the frame is lost, and bad pixels count as black."""
 _INFINITY = int(INFINITY_BITS)
-FIREFLY_REACH_PX, FIREFLY_RANK = 2, 3
-"""Fireflies are told by the pixels so far around them, of which the brightest `FIREFLY_RANK` - 1 may be fireflies,
-too."""
+
+# Fireflies are told by the pixels so far around them, of which the brightest `FIREFLY_RANK` - 1
+# may be fireflies, too.
+FIREFLY_REACH_PX = 2
+FIREFLY_RANK = 3
+
 NEIGHBOUR_OFFSETS = tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x)
 
 

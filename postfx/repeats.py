@@ -19,18 +19,31 @@ from postfx.colour import luminance
 from postfx.frame import Role
 
 REPEAT_SIDE_PX = 12  # pixels of a square
-MOST_SQUARE_ROWS, MOST_SQUARE_COLUMNS = 9, 14
-"""Squares, spread over the picture."""
+
+# Squares, spread over the picture.
+MOST_SQUARE_ROWS = 9
+MOST_SQUARE_COLUMNS = 14
+
 SLOW = 0.75  # pixels: faster noise is met by other noise, and its mean is worth something
-NOISY, NEW = 0.002, 0.0005
-"""Least standard deviation, of 1/4 of the light, of noise that may repeat, and of noise that speaks against it."""
+
+# Least standard deviation, of 1/4 of the light, of noise that may repeat, and of noise that
+# speaks against it.
+NOISY = 0.002
+NEW = 0.0005
+
 WHITE_NOISE_ENERGY = 0.5
 """Least energy of the diagonal differences of noise in parts of the others': 0.9 in the median for 4 samples of Cycles,
 0.1 to 0.2 for textures and edges."""
-SAME_NOISE_ENERGY, NEW_NOISE_ENERGY = 0.3, 0.6
-"""Energy of the change of noise, in parts of twice its own, up to which it is the same, from which on it is new."""
-LEAST_SHARE, FEWEST_REPEATING_SQUARES = 0.05, 4
-"""Of the squares, that must repeat."""
+
+# Energy of the change of noise, in parts of twice its own, up to which it is the same, from which
+# on it is new.
+SAME_NOISE_ENERGY = 0.3
+NEW_NOISE_ENERGY = 0.6
+
+# Of the squares, that must repeat.
+LEAST_SHARE = 0.05
+FEWEST_REPEATING_SQUARES = 4
+
 BLACK_ALBEDO = np.float32(0.03)  # of albedo: what is darker is as good as black
 DARK_LIGHT = np.float32(1e-6)
 ONE_SEED = ("the same random seed in every frame",

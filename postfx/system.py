@@ -34,7 +34,8 @@ from postfx.workers import Workers
 
 _PACKAGE_FOLDER = Path(__file__).resolve().parent
 MOST_HEAPS = -8  # M_ARENA_MAX of glibc's malloc.h
-_GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+_GROUPS = Path("/sys/fs/cgroup")
+_OWN = Path("/proc/self/cgroup")
 
 # Files
 

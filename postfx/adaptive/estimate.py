@@ -40,7 +40,9 @@ ERROR_LAYER = "error"
 """Layer of the predicted error in files."""
 AVERAGED_RADIUS_PX = 8
 """Of the squares that differences are averaged over, in pixels."""
-ERROR_SHARE, BEFORE_POWER, AFTER_POWER = 0.66, 0.714, 0.287
+ERROR_SHARE = 0.66
+BEFORE_POWER = 0.714
+AFTER_POWER = 0.287
 FLAT_MEAN_SQUARE = 1e-7
 """Mean square of differences that counts as flat."""
 SLOPE_STEP = 1e-3

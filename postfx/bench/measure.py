@@ -28,7 +28,8 @@ from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import write_frame
 from postfx.runtime import Device
 
-LEAST_RUN_SECONDS, MOST_RUN_SECONDS = 1.0, 3.0
+LEAST_RUN_SECONDS = 1.0
+MOST_RUN_SECONDS = 3.0
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ from postfx.colour.views import to_codes
 from postfx.files import atomic_file
 from postfx.frame import Role
 
-CROP_COUNT, CROP_SIDE_PX = 3, 96
+CROP_COUNT = 3
+CROP_SIDE_PX = 96
 LONGEST_CROP_SHARE = 0.35
 """Longest side of a crop, as a part of the picture's shorter side."""
 

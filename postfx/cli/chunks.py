@@ -181,8 +181,9 @@ def _lines(facts: dict[str, Any]) -> list[str]:
     return [*lines, f"{join(facts['verify'])}  # after all of them", *(f"# {note}" for note in facts["notes"])]
 
 
-FRAMES_PARAMETER, FOLDER_PARAMETER = "Frames", "Folder"
-"""Names of the task's and of the job's parameter of an Open Job Description."""
+# Names of the task's and of the job's parameter of an Open Job Description.
+FRAMES_PARAMETER = "Frames"
+FOLDER_PARAMETER = "Folder"
 
 
 def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str], verify: Words[str]) -> dict[str, Any]:

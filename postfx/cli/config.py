@@ -37,7 +37,9 @@ examples:
   POSTFX_CONFIG=/studio/postfx.toml postfx run shot/ -o out/
   POSTFX_CONFIG= postfx run shot/ -o out/
 """
-DEFAULTS_FILE, RUN_TABLE, DEFAULTS_VARIABLE = "postfx.toml", "run", "POSTFX_CONFIG"
+DEFAULTS_FILE = "postfx.toml"
+RUN_TABLE = "run"
+DEFAULTS_VARIABLE = "POSTFX_CONFIG"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

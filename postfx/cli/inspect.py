@@ -75,7 +75,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
 STYLES = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 VERDICTS = {0: "nothing wrong was found", 1: "there are warnings", 2: "there are errors"}
-LINE_INDENT, MOST_LISTED_LINES = " " * 9, 12
+LINE_INDENT = " " * 9
+MOST_LISTED_LINES = 12
 
 
 def print_text(facts: dict[str, Any], exit_code: int) -> None:

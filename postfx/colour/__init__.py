@@ -43,7 +43,11 @@ LUMA_REC2020 = (0.2627, 0.6780, 0.0593)
 """Weights of luminance, ITU-R BT.2100-2, table 5."""
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 """XYZ to sharpened cone responses; Lam 1985, as in ICC.1:2022, annex E."""
-_ROUNDED, _ALIKE = 2.1e-5, 2e-3  # five digits in a header move a colour by less than 1e-4
+
+# Five digits in a header move a colour by less than 1e-4
+_ROUNDED = 2.1e-5
+_ALIKE = 2e-3
+
 _FLAT = 1e-6
 
 

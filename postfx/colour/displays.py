@@ -18,10 +18,14 @@ from postfx.errors import ColourError
 
 PQ_NITS = 10000.0
 """Light of the PQ code value 1, cd/m2."""
-_M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
-_C1, _C2, _C3 = 3424 / 4096, 2413 / 4096 * 32, 2392 / 4096 * 32
+_M1 = 2610 / 16384
+_M2 = 2523 / 4096 * 128
+_C1 = 3424 / 4096
+_C2 = 2413 / 4096 * 32
+_C3 = 2392 / 4096 * 32
 _A = 0.17883277
-_B, _C = 1 - 4 * _A, 0.5 - _A * np.log(4 * _A)
+_B = 1 - 4 * _A
+_C = 0.5 - _A * np.log(4 * _A)
 
 
 class Curve(NamedTuple):

@@ -18,10 +18,16 @@ from postfx.colour import ACESCG, REC709, Chromaticities, ocio, to_xyz
 from postfx.colour.displays import Display, parse_display, srgb_encode
 
 CUBE_SIDE = 65
-AXIS_TOE, WHITEST = 2.0**-10, 2.0**8
-"""The axes: log2(1 + x / AXIS_TOE) * AXIS_SCALE is 0..1 for light of 0..WHITEST, where mid grey is 0.18."""
+
+# The axes: log2(1 + x / AXIS_TOE) * AXIS_SCALE is 0..1 for light of 0..WHITEST, where mid grey is
+# 0.18.
+AXIS_TOE = 2.0**-10
+WHITEST = 2.0**8
+
 AXIS_SCALE = float(1 / np.log2(1 + WHITEST / AXIS_TOE))
-_START, _DESATURATION, _OFFSET = 0.8, 0.15, 0.04
+_START = 0.8
+_DESATURATION = 0.15
+_OFFSET = 0.04
 
 
 @dataclass(frozen=True)

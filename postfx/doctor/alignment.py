@@ -21,13 +21,22 @@ ALIGNING_GUIDES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL)
 WINDOW_SIDE_PX = 512
 """Of a larger picture only the middle is examined: this many pixels wide and high at most."""
 STRONGEST = 0.98
-ALIGNED_BLOCK_PX, STEP_REACH_PX, MOST_ALIGNED_BLOCKS = 8, 8, 48
-STANDS_OUT, LEAST_MISFIT = 4.0, 0.04
-"""A block fits badly when its error is at least this many times the median, and at least this large."""
+ALIGNED_BLOCK_PX = 8
+STEP_REACH_PX = 8
+MOST_ALIGNED_BLOCKS = 48
+
+# A block fits badly when its error is at least this many times the median, and at least this
+# large.
+STANDS_OUT = 4.0
+LEAST_MISFIT = 0.04
+
 FITTING_ERROR_SHARE = 0.4
 """Share of a block's error that may remain after the right step."""
-ALIKE_STEPS_PX, CERTAIN_STEPS_PX = 1, 3
-"""Pixels by which steps may differ: between blocks of one object, and among the steps that fit one block."""
+
+# Pixels by which steps may differ: between blocks of one object, and among the steps that fit one
+# block.
+ALIKE_STEPS_PX = 1
+CERTAIN_STEPS_PX = 3
 
 FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "upside down": lambda edges: edges[::-1],

@@ -24,9 +24,14 @@ CAMERA_AXES = tuple(map(np.diag, ((-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (1.0, -1
 """Matrices to the picture's axes from the axes that worldToCamera may have: x left, y up, z forward; x right, y up,
 z back; x right, y up, z forward; x right, y down, z forward."""
 NEIGHBOUR_STEP_PX = 2
-LARGEST_DEPTH_STEP, LARGEST_DEPTH_BEND = 0.05, 0.01
-"""Largest relative difference in depth between neighbours on one surface, and largest second difference."""
-FITTED_POINTS, FEWEST_FITTED_POINTS = 5000, 500
+
+# Largest relative difference in depth between neighbours on one surface, and largest second
+# difference.
+LARGEST_DEPTH_STEP = 0.05
+LARGEST_DEPTH_BEND = 0.01
+
+FITTED_POINTS = 5000
+FEWEST_FITTED_POINTS = 500
 LIKELY_FOV = tuple(range(20, 121, 10))
 AGREEING = 0.75
 """Share of the points that a fit must explain."""
@@ -34,7 +39,9 @@ ONE_LENGTH = 0.2
 """Normals are scaled, not averaged, when more than this share of them has the greatest length."""
 SAME_AXES_DEGREES = 3.0  # degrees
 NEAR_PLANES = tuple(0.0025 * 1.6**step for step in range(12))
-DEPTH_SCALES, SCALE_POINTS, RIGHT_SCALE_ERROR = 10.0 ** np.linspace(-5, 5, 161), 1000, 0.05
+DEPTH_SCALES = 10.0 ** np.linspace(-5, 5, 161)
+SCALE_POINTS = 1000
+RIGHT_SCALE_ERROR = 0.05
 
 
 class Points(NamedTuple):
@@ -370,7 +377,8 @@ def _reread(frame: Frame, kind: DepthKind, fov_x: float | None) -> Frame:
 
 Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
-LEAST_F0, MOST_F0 = 0.015, 1.0
+LEAST_F0 = 0.015
+MOST_F0 = 1.0
 LEAST_PIXELS = 150
 LEAST_ERROR = 2e-4
 FOLLOWS_ANGLE = 0.5

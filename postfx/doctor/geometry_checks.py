@@ -36,8 +36,12 @@ from postfx.doctor.material import Material
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.sampling import local_mean
 
-CLEARLY_OFF, WELL = 1.5, 5.0  # degrees between the normals of depth and the stored ones
-MUCH_BETTER, FOV_EXPLAINS = 0.4, 0.5
+# Degrees between the normals of depth and the stored ones
+CLEARLY_OFF = 1.5
+WELL = 5.0
+
+MUCH_BETTER = 0.4
+FOV_EXPLAINS = 0.5
 FAR_AWAY = 50.0
 ANY_FOV = tuple(range(20, 122, 2))
 
@@ -109,9 +113,17 @@ def _facing(fit: Fit, stored: float, kind: DepthKind = DEPTH_VARIANTS[0]) -> str
 
 
 DEPTH_EXPLAINS = 4.0
-FEW_POINTS, FEW_MIXED = 500, 4.0  # the second in percent
-LEAST_MOTION_PX, RIGHT_MOTION_ERROR = 0.1, 0.1  # pixels, part of the motion
-AGREES, DIFFERS = np.cos(np.radians(5)), np.cos(np.radians(15))
+
+# Points, and percent of mixed ones
+FEW_POINTS = 500
+FEW_MIXED = 4.0
+
+# Pixels, part of the motion
+LEAST_MOTION_PX = 0.1
+RIGHT_MOTION_ERROR = 0.1
+
+AGREES = np.cos(np.radians(5))
+DIFFERS = np.cos(np.radians(15))
 _FLIPS = [np.diag(signs) for signs in product((-1.0, 1.0), repeat=3)]
 
 
@@ -253,7 +265,9 @@ NOISY_ALBEDO = 0.012
 MOST_ABOVE = 5.0  # percent of the pixels
 BRIGHT_ALBEDO = 0.5
 SAME_NOISE = 0.5
-FEWEST_LIT_SQUARES, TOO_STEEP, SWAPPED = 20, 1.2, -0.2
+FEWEST_LIT_SQUARES = 20
+TOO_STEEP = 1.2
+SWAPPED = -0.2
 ENCODED_DARK = 0.2
 """Largest channel of the darkest albedos (2nd percentile): a dark albedo of 0.04 is encoded as 0.22."""
 MUCH_TOO_BRIGHT = 0.3  # percent
@@ -409,8 +423,11 @@ FIREFLY = 4.0
 """Colour is cut off at this many times the median of its square."""
 DARK_SQUARE_RATIO = 0.02
 """Squares whose median is below this part of the picture's mean are too noisy to use."""
-ALIGNED_NORMAL_LENGTH, FLAT_DEPTH_RATIO = 0.97, 1.15
-"""On one surface the mean normal is at least this long, and the ratio of depths is at most this large."""
+
+# On one surface the mean normal is at least this long, and the ratio of depths is at most this
+# large.
+ALIGNED_NORMAL_LENGTH = 0.97
+FLAT_DEPTH_RATIO = 1.15
 
 
 class Slopes(NamedTuple):

@@ -238,7 +238,9 @@ def _header(frame: Frame) -> dict[str, Any]:
 
 # One picture for each plane: values that are not finite are magenta.
 
-MAGENTA_RGB, RED_RGB, MISS_RGB = (255, 0, 255), (255, 0, 0), (24, 24, 96)
+MAGENTA_RGB = (255, 0, 255)
+RED_RGB = (255, 0, 0)
+MISS_RGB = (24, 24, 96)
 BRIGHTEST_PERCENTILE = 99  # percentile
 SHEET_SIDE = 480
 """Pixels of the longer side of a picture in a contact sheet."""

@@ -106,7 +106,9 @@ class Material:
         return explain_by_camera(self.middle, self.fit) if self.fit else None
 
 
-MOST_HELD_FRAMES, MOST_HELD_PIXELS, MOST_SPREAD = 8, 8_000_000, 8
+MOST_HELD_FRAMES = 8
+MOST_HELD_PIXELS = 8_000_000
+MOST_SPREAD = 8
 
 
 @dataclass(frozen=True)

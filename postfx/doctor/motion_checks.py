@@ -26,12 +26,19 @@ from postfx.frame import Frame, Role
 from postfx.repeats import ONE_SEED, RepeatDetector
 from postfx.sampling import local_mean
 
-BETTER_SCORE_RATIO, BETTER_BY_JITTER, BETTER_THAN_NONE = 0.85, 0.95, 0.65
-"""Another variant must score below this part of the stored motion's score."""
+# Another variant must score below this part of the stored motion's score.
+BETTER_SCORE_RATIO = 0.85
+BETTER_BY_JITTER = 0.95
+BETTER_THAN_NONE = 0.65
+
 MOST_PAIRS_AGREE = 0.75
 TELLING_MISFIT = 0.05  # misfit, in units of what one pixel costs: below, motion is right
-ALIKE_SCORE_RATIO, LIKE_COLOUR = 1.03, 1.15
-"""Scores up to this many times the best one count as equal; the second holds for a colour if motion lies in 0..1."""
+
+# Scores up to this many times the best one count as equal; the second holds for a colour if
+# motion lies in 0..1.
+ALIKE_SCORE_RATIO = 1.03
+LIKE_COLOUR = 1.15
+
 SEARCHED = 12  # pixels each way
 CLEARLY_MOVED = 0.75
 LEAST_CAMERA_MOTION = 0.1  # pixels
@@ -39,8 +46,13 @@ JITTER_CODES = ("motion-jitter", "jitter-sign", "jitter-unit")
 USEFUL = 0.7
 """Right motion scores below this part of the score without motion."""
 SOME_PAIRS = 2
-LEAST_LENGTH, CAMERA_DISAGREES, SCALE_EXPLAINS = 0.2, 0.3, 0.1
-"""Least length in pixels of motion that cameras are compared with; parts of it that count as wrong, as explained."""
+
+# Least length in pixels of motion that cameras are compared with; parts of it that count as
+# wrong, as explained.
+LEAST_LENGTH = 0.2
+CAMERA_DISAGREES = 0.3
+SCALE_EXPLAINS = 0.1
+
 PLANAR_DEGREES = 5.0  # degrees between the normals of depth and the stored ones, above which depth is not understood
 RIGHT_UNIT = 0.9
 LEAST_BLOCKS = 4

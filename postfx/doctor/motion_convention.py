@@ -23,15 +23,27 @@ MOST_TRIED_PAIRS = 3
 TELLING_STILL_MISFIT = 0.05
 """Least misfit without motion, in units of what one pixel costs: below, too little moves."""
 MOST_KEPT = 8  # conventions that are tried on all pairs, after the first one
-SHORTEST_TRIED_PX, LONGEST_TRIED_PX = 0.25, 128.0
-"""Lengths in pixels that are tried for the 95th percentile of the motion."""
-COARSE_FACTOR, FINE_FACTORS = 2**0.5, (2**0.25, 2**0.125, 2**0.0625, 2**0.03125)
-WIDE_UNIT_LOG, NARROW_UNIT_LOG = 0.17, 0.1
-"""Logarithm of the factor by which a common unit may be off, along both axes and along the axis that moves more."""
+
+# Lengths in pixels that are tried for the 95th percentile of the motion.
+SHORTEST_TRIED_PX = 0.25
+LONGEST_TRIED_PX = 128.0
+
+COARSE_FACTOR = 2**0.5
+FINE_FACTORS = (2**0.25, 2**0.125, 2**0.0625, 2**0.03125)
+
+# Logarithm of the factor by which a common unit may be off, along both axes and along the axis
+# that moves more.
+WIDE_UNIT_LOG = 0.17
+NARROW_UNIT_LOG = 0.1
+
 ALIKE_MISFIT_RATIO = 1.08
 """A common unit takes the place of the best fit if its misfit is at most this many times as large."""
-FITTING_MISFIT_SHARE, FITTING_COMMON_MISFIT_SHARE = 0.7, 0.87
-"""Motion is understood if its misfit is below this part of the misfit without motion: in any unit, in a common one."""
+
+# Motion is understood if its misfit is below this part of the misfit without motion: in any unit,
+# in a common one.
+FITTING_MISFIT_SHARE = 0.7
+FITTING_COMMON_MISFIT_SHARE = 0.87
+
 _SIGN_CHOICES = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 

@@ -35,7 +35,10 @@ LEAST_INSIDE_SHARE = 0.5
 RELATED_SCORE_RATIO = 0.7
 """Pictures have something in common when their score is below this part of the score of chance."""
 GUIDE_WEIGHTS = ((Role.DIFFUSE_ALBEDO, 1.0), (Role.SPECULAR_ALBEDO, 1.0), (Role.NORMAL, 1.0))
-DEPTH_WEIGHT, COLOUR_WEIGHT = 0.2, 0.2  # depth changes where the camera goes forward, colour is noisy
+
+# Depth changes where the camera goes forward, colour is noisy
+DEPTH_WEIGHT = 0.2
+COLOUR_WEIGHT = 0.2
 
 
 @dataclass(frozen=True)

@@ -83,12 +83,20 @@ MANY_PERCENT = 50.0  # percent
 NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS,
                   Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR)
 UNIFORM = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH, Role.ROUGHNESS)
-BLACK_VALUE, MOST_LISTED = 1e-4, 8
+BLACK_VALUE = 1e-4
+MOST_LISTED = 8
 ENLARGING_FILTERS = {"repetition": (1, -1), "linear interpolation": (-0.5, 1.5, -1.5, 0.5)}
 """Differences that are 0 at every other place of a plane that was enlarged to twice its size."""
-LEAST_SIDE, LEAST_ROWS, EXACT_ENLARGED_SHARE = 32, 12, 0.08
-FLIP_FITS, FLIP_LEAST = 1.5, 0.13
-OTHER_FITS, OTHER_LEAST, SHARED_DISTANCE, MOST_OFF_SHARE, LEAST_FRAMES = 1.15, 0.03, 0.12, 0.6, 3
+LEAST_SIDE = 32
+LEAST_ROWS = 12
+EXACT_ENLARGED_SHARE = 0.08
+FLIP_FITS = 1.5
+FLIP_LEAST = 0.13
+OTHER_FITS = 1.15
+OTHER_LEAST = 0.03
+SHARED_DISTANCE = 0.12
+MOST_OFF_SHARE = 0.6
+LEAST_FRAMES = 3
 IN_UNIT_RANGE = (Role.ALPHA, Role.STRENGTH, Role.REACTIVE)
 OUTSIDE_GAMUT = "light-outside"
 
@@ -284,10 +292,14 @@ def check_readable_frames(material: Material) -> Iterator[Finding]:
                     "render or copy this frame again")
 
 
-LEAST_COVERAGE, LEAST_CHANGE, FEWEST_CHANGED_PIXELS = 0.02, 0.02, 200
+LEAST_COVERAGE = 0.02
+LEAST_CHANGE = 0.02
+FEWEST_CHANGED_PIXELS = 200
 STRAIGHT = 0.3
 MOST_NOISE_STOPS = 0.2  # stops between neighbours' coverage: the noise of the colour does not hide larger steps
-NARROW_WINDOW_PX, WIDE_WINDOW_PX, TWICE = 2, 16, 0.4
+NARROW_WINDOW_PX = 2
+WIDE_WINDOW_PX = 16
+TWICE = 0.4
 
 
 def check_overlay_alpha(material: Material) -> Iterator[Finding]:
@@ -378,7 +390,10 @@ def _detail(plane: np.ndarray) -> np.ndarray:
 
 
 MOST_REACTIVE = 90.0  # percent of pixels that ignore more than half of their history
-DIFFERENT, ALIKE_NEIGHBOURS = 25.0, 65.0  # percent of pixels, and of neighbours both brighter or both darker
+
+# Percent of pixels, and of neighbours both brighter or both darker
+DIFFERENT = 25.0
+ALIKE_NEIGHBOURS = 65.0
 
 
 def check_reactive_everywhere(material: Material) -> Iterator[Finding]:

@@ -28,8 +28,13 @@ PERCENTILES = (2.0, 98.0)
 RANGE_EV = 9.0  # anything further below the 98th percentile counts as black
 # mean luminance of an empty block: borders, misses; in pictures dimmer than 1, that part of theirs
 BLACK_LUMINANCE = 2.0**-24
-METERED_BLOCK_PX, MOST_METERED_BLOCKS = 8, 160
-BRIGHTEN_SECONDS, DARKEN_SECONDS = 1.0, 0.4  # eyes and cameras close faster than they open
+METERED_BLOCK_PX = 8
+MOST_METERED_BLOCKS = 160
+
+# Eyes and cameras close faster than they open
+BRIGHTEN_SECONDS = 1.0
+DARKEN_SECONDS = 0.4
+
 FRAMES_PER_SECOND = 24.0
 MODES = ("auto", "lit", "metadata")
 USED_EXPOSURE_ATTRIBUTE = "postfx:exposureUsedEV"

@@ -33,10 +33,16 @@ from postfx.runtime import Device
 
 TOLERANCE_EV = 0.2
 """Largest mean mismatch that counts as right: below a quarter of a stop, above the meter's noise."""
-DRIFT_EV, MOVING_DRIFT_EV = 0.25, 0.5
-"""Largest drift from the darkest to the brightest frame, of a steady scene and of one that changes: exposure need not
-follow such a change fully."""
-RIGHT_VERDICT, DARK_VERDICT, BRIGHT_VERDICT, DRIFTING_VERDICT = "right", "too dark", "too bright", "drifting"
+
+# Largest drift from the darkest to the brightest frame, of a steady scene and of one that
+# changes: exposure need not follow such a change fully.
+DRIFT_EV = 0.25
+MOVING_DRIFT_EV = 0.5
+
+RIGHT_VERDICT = "right"
+DARK_VERDICT = "too dark"
+BRIGHT_VERDICT = "too bright"
+DRIFTING_VERDICT = "drifting"
 
 NEAR_EV = 0.25
 """A picture this close to mid grey needs no exposure: noise may move the meter by as much."""

@@ -41,7 +41,8 @@ SAME_GAIN_EV = 0.05
 SHIFTS_EV = np.arange(-6.0, 6.001, 0.01)
 TELLING_LEVELS = (0.03, 0.97)
 """Levels between which curves differ; near black and white all are alike."""
-OWN_CURVE, VIEW_CURVE = "its own", "the view's"
+OWN_CURVE = "its own"
+VIEW_CURVE = "the view's"
 _BUILT_IN = (Display, ToneMap, View)
 
 
@@ -205,10 +206,14 @@ def is_built_in(passes: Sequence[Pass]) -> bool:
 
 # Frames that were graded elsewhere
 
-CHART_STEP_PX, CHART_HEIGHT_PX = 16, 270
-"""Pixels of a step of the chart, and its rows."""
-MOST_GREY_SPREAD, LEAST_GREY_DIFFERENCE = 0.35, 0.01
-"""Greatest spread of a board's greys, as a part of their difference, and least difference: JPEG and dither add some."""
+# Pixels of a step of the chart, and its rows.
+CHART_STEP_PX = 16
+CHART_HEIGHT_PX = 270
+
+# Greatest spread of a board's greys, as a part of their difference, and least difference: JPEG
+# and dither add some.
+MOST_GREY_SPREAD = 0.35
+LEAST_GREY_DIFFERENCE = 0.01
 
 
 def write_chart(path: str | PathLike[str]) -> Path:

@@ -79,8 +79,12 @@ WORSE = 1.03
 of the wrong sign 2, right ones up to 0.94."""
 MEASURED_ROWS = 100
 """Rows or columns of the shorter side in which the misfit is measured."""
-MOST_LIGHT_DIFFERENCE, LEAST_JUDGED_SHARE = 0.1, 0.25
-"""Difference of toned light up to which a pixel counts, and the share of pixels that must lead into the picture."""
+
+# Difference of toned light up to which a pixel counts, and the share of pixels that must lead
+# into the picture.
+MOST_LIGHT_DIFFERENCE = 0.1
+LEAST_JUDGED_SHARE = 0.25
+
 MOST_COUNTED_LIGHT = np.float32(1e18)
 """Light that is counted at most: sums of its squares are finite."""
 MOST_GROWN_PX = 64
@@ -89,7 +93,8 @@ Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 OVERLAYS = ("mix", "hold")
 CAMERA_ATTRIBUTES = ("worldToCamera", "worldToNDC")
 """Attributes of a camera, of which the first one is made for the time."""
-CUT_REASON, STILL_REASON = "another shot begins", "nothing changes"
+CUT_REASON = "another shot begins"
+STILL_REASON = "nothing changes"
 
 
 class Between:

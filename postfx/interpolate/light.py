@@ -30,8 +30,11 @@ DARK_LIGHT_SHARE = 0.02
 """Part of the middle light: what is added to both before they are divided, and what is too dark to tell."""
 AROUND_PX = 8
 """Pixels each way over which light around is averaged."""
-CARRIED_BLOCKS, WHOLE_PICTURE_WEIGHT = 2, 1e-3
-"""Blocks over which the ratio is averaged, and the weight of the ratio of all of the picture there."""
+
+# Blocks over which the ratio is averaged, and the weight of the ratio of all of the picture
+# there.
+CARRIED_BLOCKS = 2
+WHOLE_PICTURE_WEIGHT = 1e-3
 
 
 def change_of_light(before: np.ndarray, after: np.ndarray, motion: np.ndarray | None, longest: float

@@ -41,7 +41,8 @@ def _no_rows(*_: Any) -> None:
     raise DeviceError("kernels of the interpolation on a device are written for CUDA: on the CPU use Interpolator")
 
 
-_IMAGE, _CELLS = ("height", "width"), ("rows", "columns")
+_IMAGE = ("height", "width")
+_CELLS = ("rows", "columns")
 _SHAPES_BY_KIND: dict[str, tuple[int | str, ...]] = {
     "picture": (*_IMAGE, 3), "held": (*_IMAGE, 4), "colour": (*_IMAGE, 3), "pixel_motion": (*_IMAGE, 2),
     "pixel_depth": (*_IMAGE, 1), "paths": (*_IMAGE, 4), "led": (*_IMAGE, 1), "plane": (*_IMAGE, "channels"),
@@ -59,7 +60,8 @@ def _kernel(name: str, reads: str, writes: str, blocks: Blocks | None = None) ->
                   {name: _SHAPES_BY_KIND[kind] for name, kind in pairs.items()}, blocks=blocks)
 
 
-_SUMMING, _TILES = Blocks(1, 256), Blocks(8, 256, columns=32)
+_SUMMING = Blocks(1, 256)
+_TILES = Blocks(8, 256, columns=32)
 HOLD = _kernel("hold", "picture:picture depth:pixel_depth", "held:held")
 GATHER_KERNEL = _kernel("gather", "motion:pixel_motion depth:pixel_depth scale:number",
                         "cells:motion keys:motion cell_depth:depth")

@@ -23,7 +23,8 @@ from postfx.frame import Frame, Role
 from postfx.interpolate.choose import STILL
 from postfx.system import in_bands
 
-_DROP, _FIELD = 1 << 6, 1 << 15
+_DROP = 1 << 6
+_FIELD = 1 << 15
 _PLACES = ((24, 30), (16, 23), (8, 15), (0, 6))
 """First and last bit of hours, minutes, seconds and frames."""
 SPARK_SURROUNDINGS_SHARE = 0.09

@@ -138,7 +138,9 @@ def _space_by_ocio(identifier: str) -> ColourSpace | None:
 
 
 NATIVE = "native"
-ACES, INTEROP, PRIMARIES = "acesImageContainerFlag", "colorInteropID", "chromaticities"
+ACES = "acesImageContainerFlag"
+INTEROP = "colorInteropID"
+PRIMARIES = "chromaticities"
 COLOUR_ATTRIBUTES = (ACES, INTEROP, PRIMARIES)
 """Headers that say what colours are, the one that counts most first (Color Interop Forum, "Identifying the Color Space
 of OpenEXR Files")."""

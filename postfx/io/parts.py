@@ -14,8 +14,10 @@ from postfx.io.channels import Channel, ChannelIndex, are_together, read_channel
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Layout
 
-AUTO_PARTS, NAMED_PARTS = "auto", "named"
-COLOUR_LETTERS, VECTOR_LETTERS = (("R", "G", "B"),), (("X", "Y", "Z"), ("R", "G", "B"))
+AUTO_PARTS = "auto"
+NAMED_PARTS = "named"
+COLOUR_LETTERS = (("R", "G", "B"),)
+VECTOR_LETTERS = (("X", "Y", "Z"), ("R", "G", "B"))
 NUMBER_LETTERS = (("V",), ("Z",), ("Y",), ("A",), ("X",), ("R",), ("",))
 LETTERS_BY_KIND = {"normal": VECTOR_LETTERS, "position": VECTOR_LETTERS, "albedo": COLOUR_LETTERS,
                    "depth": NUMBER_LETTERS}
@@ -164,8 +166,10 @@ def _missing_error(
 
 LAYER_SUM_TOLERANCE = 3e-3
 """Layers add up to the picture if their sum differs by less than this share of its light."""
-_SAMPLED_ROW_STEP, _MOST_COMBINED_LAYERS = 8, 14
-"""One row in so many is looked at; more layers than that are not tried in all combinations."""
+
+# One row in so many is looked at; more layers than that are not tried in all combinations.
+_SAMPLED_ROW_STEP = 8
+_MOST_COMBINED_LAYERS = 14
 
 
 def find_sets(picture: np.ndarray, parts: Mapping[str, np.ndarray]) -> list[tuple[str, ...]]:

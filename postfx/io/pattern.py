@@ -18,7 +18,8 @@ from postfx.files import with_slashes
 from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.image_file import READABLE
 
-PLANE_FIELD, VIEW_FIELD = "{plane}", "{view}"
+PLANE_FIELD = "{plane}"
+VIEW_FIELD = "{view}"
 _NUKES_VIEW = re.compile(r"%[vV](?![A-Za-z])")
 """How Nuke writes the place of a view's name, or of its first letter."""
 _NUMBER = re.compile(

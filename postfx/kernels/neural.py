@@ -34,7 +34,8 @@ import numpy as np
 from postfx.compiled.library import Rows
 from postfx.kernels import Blocks, Kernel
 
-MOST_LAYERS, MOST_WIDTH = 5, 128
+MOST_LAYERS = 5
+MOST_WIDTH = 128
 LAYERS, INPUTS, ENCODED, BANDS, ACTIVATION, SIZES = range(6)
 FACTS = SIZES + MOST_LAYERS + 1
 ACTIVATIONS = ("relu", "gelu", "sine")

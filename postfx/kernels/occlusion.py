@@ -22,9 +22,13 @@ import numpy as np
 from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
 
-RADIUS, TANGENTS, CAMERA = 9, 10, 12
-SLICES, STEPS = 4, 8
-WAYS, REACHES = 8, (0.04, 0.1, 0.2, 0.4, 0.65, 1.0)
+RADIUS = 9
+TANGENTS = 10
+CAMERA = 12
+SLICES = 4
+STEPS = 8
+WAYS = 8
+REACHES = (0.04, 0.1, 0.2, 0.4, 0.65, 1.0)
 LOOK = 2 * WAYS * len(REACHES) + 5
 FAR = np.float32(1e5)
 """Depth in radii from which on a pixel counts as empty."""

@@ -60,10 +60,14 @@ LIGHT = Kernel(
     shapes={"lowres": (1, 3, SIDE, SIDE), "light": (SIDE, 3)},
 )
 
-LAG, JUMP = np.float64(1 / 4), np.float64(1 / 16)
-"""Stops: a camera that crossed a staircase in 8 frames moved the mean by 0.17, by no more than 0.04 in a frame."""
-RELEASE, MOST = np.float64(0.95), np.float64(1e4)
-"""Stops between two lights that cannot be, as is NaN: there is no past, then."""
+# Stops: a camera that crossed a staircase in 8 frames moved the mean by 0.17, by no more than
+# 0.04 in a frame.
+LAG = np.float64(1 / 4)
+JUMP = np.float64(1 / 16)
+
+# Stops between two lights that cannot be, as is NaN: there is no past, then.
+RELEASE = np.float64(0.95)
+MOST = np.float64(1e4)
 
 FOLLOW = Kernel(
     name="follow",
@@ -74,7 +78,8 @@ FOLLOW = Kernel(
     shapes={"light": (SIDE, 3), "params": (4,), "before": (1, 4), "after": (1, 4)},
 )
 
-LEVELS, COEFFICIENTS = 8, 12
+LEVELS = 8
+COEFFICIENTS = 12
 GRID_SHAPE = (1, 16, 16, LEVELS, COEFFICIENTS)
 BROKEN = np.float32(1e4)
 """Change beyond that of any grid, as is NaN: there `previous` counts for nothing."""
@@ -102,7 +107,9 @@ EXPOSE = Kernel(
 
 KNOTS = 16
 GUIDE_SIZE = 9 + 3 + 6 * KNOTS + 3 + 1
-SHIFTS, SLOPES, MIX = 12, 12 + 3 * KNOTS, 12 + 6 * KNOTS
+SHIFTS = 12
+SLOPES = 12 + 3 * KNOTS
+MIX = 12 + 6 * KNOTS
 
 SLICE_APPLY = Kernel(
     name="slice_apply",

@@ -27,11 +27,16 @@ from postfx.workers import Workers
 MOST_SIDE_PX = 640
 """Pixels of a picture's longer side; larger frames are halved, or taken in thirds, and so on."""
 
-_FITTED_POINTS, _FEWEST_FITTED_POINTS, _ALIGNED_POINTS, _ALIGNING_ROUNDS = 2000, 64, 4000, 5
+_FITTED_POINTS = 2000
+_FEWEST_FITTED_POINTS = 64
+_ALIGNED_POINTS = 4000
+_ALIGNING_ROUNDS = 5
 # Least share of points that the fit must explain, and the most of the picture's own contrast that it may leave.
-_FITTING, _RELATED = 0.4, 0.5
+_FITTING = 0.4
+_RELATED = 0.5
 # What a thing that moves must leave of the camera's misfit, and by how much less.
-_BETTER, _LESS = np.float32(0.6), np.float32(0.02)
+_BETTER = np.float32(0.6)
+_LESS = np.float32(0.02)
 # A camera is at rest where that leaves at most this share of what its motion leaves; flow alone follows noise, too.
 _AS_WELL = 1.02, 1.25
 

@@ -35,8 +35,11 @@ BUILT_IN = {
     "scene_shading": "postfx.passes.scene:SceneShading",
 }
 """Entry points of the passes that come with postfx, as in pyproject.toml."""
-PLACE_BEFORE, PLACE_AFTER = "before", "after"
-"""What says where a pass stands; no pass may have options of these names."""
+
+# What says where a pass stands; no pass may have options of these names.
+PLACE_BEFORE = "before"
+PLACE_AFTER = "after"
+
 _COMMA = re.compile(r",(?=\w+=)")
 
 

@@ -15,8 +15,11 @@ FARTHEST_PLACE = 1.5
 """Places farther out than so many half sides of the box count as there."""
 LAMP_REFLECTANCE = 0.005
 """Less reflectance than this have lamps and misses only."""
-REFLECTANCE_SHARE, REFLECTANCE_OFFSET = 0.15, 0.01
-"""Of each channel's reflectance: a share of the largest channel, and what is added."""
+
+# Of each channel's reflectance: a share of the largest channel, and what is added.
+REFLECTANCE_SHARE = 0.15
+REFLECTANCE_OFFSET = 0.01
+
 MOST_LIGHT_LOG = 20.0
 """Bound of the logarithm of light that a network may give."""
 CARD = "scene"

@@ -18,7 +18,10 @@ from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, S
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
 
-_KEEP, _FOLLOW = 0.6, 0.6  # where a look's card says nothing
+# Where a look's card says nothing
+_KEEP = 0.6
+_FOLLOW = 0.6
+
 _MOST = 1e6  # so that no sum of a few products overflows
 _SHAPER = "toe and scale above 0, and a matrix of 9 numbers"
 

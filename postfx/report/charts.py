@@ -85,8 +85,11 @@ def save_png(path: Path, pixels: np.ndarray) -> None:
         raise WriteError(f"{path}: cannot be written: {error.strerror}; check the folder and its rights") from error
 
 
-KEY_PAPER, KEY_INK = (24, 24, 26), (225, 225, 225)
-KEY_ROW_PX, KEY_COLUMN_PX, TEXT_SIZE_PX = 22, 210, 13
+KEY_PAPER = (24, 24, 26)
+KEY_INK = (225, 225, 225)
+KEY_ROW_PX = 22
+KEY_COLUMN_PX = 210
+TEXT_SIZE_PX = 13
 
 
 def add_key(picture: np.ndarray) -> np.ndarray:
@@ -140,11 +143,19 @@ def _drawn(chart: Chart, curves: Mapping[str, list[float | None]]) -> dict[str, 
     return {"title": chart.title, "note": chart.note, "span": chart.span, "curves": own}
 
 
-PAGE_WIDTH_PX, PAGE_HEIGHT_PX = 1200, 560
-PLOT_LEFT_PX, PLOT_RIGHT_PX, PLOT_TOP_PX, PLOT_BOTTOM_PX = 84, 1176, 74, 400
+PAGE_WIDTH_PX = 1200
+PAGE_HEIGHT_PX = 560
+PLOT_LEFT_PX = 84
+PLOT_RIGHT_PX = 1176
+PLOT_TOP_PX = 74
+PLOT_BOTTOM_PX = 400
 STRIP_ROWS_PX = (432, 488)
-PAPER_RGB, INK_RGB, FAINT_RGB, GRID_RGB = (250, 250, 248), (40, 42, 48), (130, 132, 138), (226, 226, 222)
-USED_RGB, NEEDED_RGB = (200, 80, 10), (11, 98, 184)
+PAPER_RGB = (250, 250, 248)
+INK_RGB = (40, 42, 48)
+FAINT_RGB = (130, 132, 138)
+GRID_RGB = (226, 226, 222)
+USED_RGB = (200, 80, 10)
+NEEDED_RGB = (11, 98, 184)
 LEAST_SPAN_EV = 2.0
 
 

@@ -197,7 +197,8 @@ def measure_errors(codes: Mapping[str, np.ndarray]) -> Comparison:
     return Comparison({**figures, "flip after": flip}, colours)
 
 
-MOST_MEASURED_POINTS, FEWEST_MEASURED_POINTS = 40_000, 100
+MOST_MEASURED_POINTS = 40_000
+FEWEST_MEASURED_POINTS = 100
 CALMEST = 0.8
 
 

@@ -14,8 +14,10 @@ import OpenImageIO as oiio
 
 from postfx.colour.displays import srgb_encode
 
-BLACK_PERCENTILE, WHITE_PERCENTILE = 1, 99
-"""Percentiles of the finite values that become black and white."""
+# Percentiles of the finite values that become black and white.
+BLACK_PERCENTILE = 1
+WHITE_PERCENTILE = 99
+
 GAMMA = 2.2
 SHEET_COLUMNS = 4
 NOTEBOOK_SIDE = 640

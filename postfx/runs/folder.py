@@ -33,8 +33,11 @@ from postfx.files import (
 from postfx.runs.locks import Claim, FolderLock, is_alive
 from postfx.runs.manifest import MANIFEST_NAME, WORK_FOLDER, Manifest, Output, load_manifest, update_manifest
 
-LEAST_SECONDS, MOST_SHARE = 1.0, 0.05
-"""Least seconds between two writes of the manifest, and the largest share of the run's time that they take."""
+# Least seconds between two writes of the manifest, and the largest share of the run's time that
+# they take.
+LEAST_SECONDS = 1.0
+MOST_SHARE = 0.05
+
 CHECKPOINT_SUFFIX = ".checkpoint"
 CHECKPOINT_MAGIC = b"postfx checkpoint 1\n"
 _MOST_HEADER = 1 << 20

@@ -18,7 +18,8 @@ from postfx.system import is_plain_name
 MANIFEST_NAME = "postfx.manifest.json"
 WORK_FOLDER = ".postfx"
 """Folder beside the frames for locks, claims and checkpoints; removed after the last run."""
-MANIFEST_FORMAT, MANIFEST_VERSION = "postfx manifest", 1
+MANIFEST_FORMAT = "postfx manifest"
+MANIFEST_VERSION = 1
 
 
 @dataclass(frozen=True)

@@ -24,18 +24,34 @@ from postfx.runtime.model_file import ModelFile, Node, Weights, parse_model
 if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor, TensorDevice
 
-SQUARE, WIDE, GROUP = (8, 8), (2, 32), 128
-"""As in the kernels: rows and columns of the pixels that a group takes, and of those of heads; threads of a group."""
-TILES, STEP = (160, 128, 96, 80, 64, 40, 32, 16), 32
-"""Channels that a block of threads can make; all channels are multiples of the step."""
-GROUP_COUNTS, MOST_GROUPS, SLOTS = (4, 3, 2, 1), 12, (4, 3)
-"""Groups that a block may have, how many are enough for a processor, and parts of weights that a block may hold."""
-WAIT, WRITE, CYCLE_WEIGHT_BYTES, CYCLE_PIXEL_BYTES = 4700, 5.6, 134, 13
-"""Cycles that a group waits for pixels, and in which a channel is written; bytes that come in a cycle."""
+# As in the kernels: rows and columns of the pixels that a group takes, and of those of heads;
+# threads of a group.
+SQUARE = (8, 8)
+WIDE = (2, 32)
+GROUP = 128
+
+# Channels that a block of threads can make; all channels are multiples of the step.
+TILES = (160, 128, 96, 80, 64, 40, 32, 16)
+STEP = 32
+
+# Groups that a block may have, how many are enough for a processor, and parts of weights that a
+# block may hold.
+GROUP_COUNTS = (4, 3, 2, 1)
+MOST_GROUPS = 12
+SLOTS = (4, 3)
+
+# Cycles that a group waits for pixels, and in which a channel is written; bytes that come in a
+# cycle.
+WAIT = 4700
+WRITE = 5.6
+CYCLE_WEIGHT_BYTES = 134
+CYCLE_PIXEL_BYTES = 13
+
 ARGUMENTS = ("input", "coarse", "weights", "bias", "added", "output", "second")
 """Tensors of every kernel."""
 HALF = np.dtype(np.float16)
-_FLOAT, _FLOAT16 = 1, 10
+_FLOAT = 1
+_FLOAT16 = 10
 _NEAREST = {"mode": "nearest", "nearest_mode": "floor", "coordinate_transformation_mode": "asymmetric"}
 
 

@@ -33,8 +33,11 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 SMALL_WRITE_BYTES = 1 << 14
 """Bytes of arrays, such as parameters, that are written without waiting."""
-PIXELS, ONE_BLOCK = (32, 8), (32, 32)
-"""Threads of a block (columns, rows): for kernels with one thread per pixel, and for those of a single block."""
+
+# Threads of a block (columns, rows): for kernels with one thread per pixel, and for those of a
+# single block.
+PIXELS = (32, 8)
+ONE_BLOCK = (32, 32)
 
 
 class View(ctypes.Structure):

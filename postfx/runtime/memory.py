@@ -23,8 +23,10 @@ ALIGNMENT = 256
 """Byte alignment of every tensor: a multiple of the cache line and of efficient GPU copies."""
 
 
-HOST, CUDA = (1, 0), 2
-"""DLPack's numbers: the host's memory as kind and number of a device, and the kind of CUDA's."""
+# DLPack's numbers: the host's memory as kind and number of a device, and the kind of CUDA's.
+HOST = (1, 0)
+CUDA = 2
+
 HOST_KINDS = (1, 3)
 """Kinds that are the host's memory: plain, and pinned by CUDA."""
 

@@ -286,7 +286,9 @@ class Product(NamedTuple):
     factors: np.ndarray
 
 
-MOST_FACTOR, SIGN, CODES_PREFIX = 64, 128, "codes_"
+MOST_FACTOR = 64
+SIGN = 128
+CODES_PREFIX = "codes_"
 _BYTES = (2, 3)  # uint8, int8
 
 
@@ -391,7 +393,10 @@ def _message(value: Field) -> memoryview:
     return value
 
 
-VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
+VARINT = 0
+FIXED64 = 1
+BYTES = 2
+FIXED32 = 5
 _WIDTHS = {FIXED64: 8, FIXED32: 4}
 _MOST_VARINT = 10  # bytes that 64 bits take
 

@@ -14,7 +14,10 @@ from postfx.io.windows import Window
 
 EXR_MAGIC = 20000630
 EXR_VERSION = 2
-TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000
+TILED = 0x200
+LONG_NAMES = 0x400
+DEEP = 0x800
+MULTI_PART = 0x1000
 SHORT_NAME = 31
 MAX_NAME = 255
 _HEADER_BLOCK_BYTES = 1 << 13
@@ -22,7 +25,10 @@ MAX_HEADERS = 64 << 20
 """Bytes that all headers of a file may have together."""
 MAX_PARTS = 4096
 MAX_CHANNELS = 16384
-SCANLINE_IMAGE, TILED_IMAGE, DEEP_SCANLINES, DEEP_TILES = "scanlineimage", "tiledimage", "deepscanline", "deeptile"
+SCANLINE_IMAGE = "scanlineimage"
+TILED_IMAGE = "tiledimage"
+DEEP_SCANLINES = "deepscanline"
+DEEP_TILES = "deeptile"
 PART_TYPES = (SCANLINE_IMAGE, TILED_IMAGE, DEEP_SCANLINES, DEEP_TILES)
 SAMPLE_BYTES = (4, 2, 4)
 """Bytes of a sample by the pixel type of its channel: uint, half, float."""

@@ -408,11 +408,16 @@ COMPRESSIONS = {0: "none", 1: "rle", 2: "zips", 3: "zip", 4: "piz", 5: "pxr24", 
 """OpenEXR's numbers of compressions."""
 _NEW = 10
 """The first that OpenImageIO may not know, by the OpenEXR that it was made with; it writes ZIP in their place."""
-NO_COMPRESSION, ZIPS, ZIP = 0, 2, 3
+NO_COMPRESSION = 0
+ZIPS = 2
+ZIP = 3
 OWN_COMPRESSIONS = NO_COMPRESSION, ZIPS, ZIP
 """Those that are read and written here."""
-HALF_KIND, FLOAT_KIND = 1, 2
-"""Kinds of channels."""
+
+# Kinds of channels.
+HALF_KIND = 1
+FLOAT_KIND = 2
+
 ZIP_LINES = 16
 """Rows of a chunk of ZIP."""
 _OIIO_KINDS = (oiio.UINT, oiio.HALF, oiio.FLOAT)

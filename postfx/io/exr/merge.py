@@ -84,7 +84,8 @@ _LARGEST_HALF = 65504
 _BLOCK_ROWS = 64
 """Rows that are looked at together."""
 _SAMPLES = re.compile(r"cycles\..+\.samples|postfx:spp|samplesPerPixel")
-_SPP, _MERGED = "postfx:spp", "postfx:merged"
+_SPP = "postfx:spp"
+_MERGED = "postfx:merged"
 _COUNT_NAME = "sample_count.Y"
 
 

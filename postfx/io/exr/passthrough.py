@@ -166,10 +166,14 @@ _SHARED = ("displayWindow", "pixelAspectRatio", "timeCode", "chromaticities")
 _STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "type", "name", "tiles", "version",
               "chunkCount", "maxSamplesPerPixel", "dwaCompressionLevel")
 _INVENTED = "capDate"  # OpenImageIO writes today's if there is none
-_RGBA_PART, _RENDER_NAME = "rgba", "render"
+_RGBA_PART = "rgba"
+_RENDER_NAME = "render"
 RGB_LETTERS = ("R", "G", "B")
-_NOISY, _SHOWN = "Noisy Image", "Combined"
-"""Layers of Cycles: the colour before Blender's own denoiser, and the one after it, which compositors show."""
+
+# Layers of Cycles: the colour before Blender's own denoiser, and the one after it, which
+# compositors show.
+_NOISY = "Noisy Image"
+_SHOWN = "Combined"
 
 
 def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> list[NewPart]:
