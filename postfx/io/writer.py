@@ -47,7 +47,7 @@ _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": 
 SRGB_DISPLAY = parse_display("srgb")
 LEAST_FACTOR = np.float32(1 / 256)
 """Black in 8 bits: what light that reached a place without colour is divided by."""
-ERROR_LAYER = "error.V"
+ERROR_CHANNEL = "error.V"
 OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 
 
@@ -341,7 +341,7 @@ def _part_channels(frame: Frame) -> tuple[str, ...]:
 
 def _further_channels(frame: Frame) -> tuple[str, ...]:
     """Names of the channels behind the picture's."""
-    overlay, error = OVERLAY_LAYER if _has_layer(frame) else (), (ERROR_LAYER,) * (Role.ERROR in frame)
+    overlay, error = OVERLAY_LAYER if _has_layer(frame) else (), (ERROR_CHANNEL,) * (Role.ERROR in frame)
     return (*overlay, *_part_channels(frame), *error)
 
 
