@@ -17,7 +17,7 @@ LEAST_REUSED = 1 << 18
 """Bytes of an array whose memory is worth keeping."""
 LARGER = 1.25
 """How many times as large as an array the memory may be that it gets."""
-KEPT = 256
+MOST_IDLE_ARRAYS = 256
 """Arrays that are made before memory that served none of them goes back to the system."""
 
 
@@ -100,7 +100,7 @@ class SpareMemory:
     def _take(self, nbytes: int) -> np.ndarray:
         with self._lock:
             self._made += 1
-            self._free[:] = [one for one in self._free if one[0] > self._made - KEPT]
+            self._free[:] = [one for one in self._free if one[0] > self._made - MOST_IDLE_ARRAYS]
             fitting = [(raw.nbytes, -place) for place, (_, raw) in enumerate(self._free)
                        if nbytes <= raw.nbytes <= LARGER * nbytes]
             if fitting:  # the newest of the smallest

@@ -27,16 +27,17 @@ from postfx.kernels.statistics import (
 )
 from postfx.sampling import bilinear
 
-RELATED = 0.65
+SAME_SHOT_CORRELATION = 0.65
 """Correlation from which two frames are of one shot; see docs/howto/integration.md."""
 
-MOST_CELLS, LEAST_BLOCK = 80, 4
+MOST_CELLS = 80
+LEAST_BLOCK = 4
 LEAST_COMPARED = 48  # cells; fewer do not tell one picture from another
 LEAST_OVERLAP = 0.1  # of the cells that must lead into the frame before
-BAND = 17  # cells; wider structure is layout
-SMOOTH = 3
+LAYOUT_CELLS = 17  # cells; wider structure is layout
+SMOOTHED_CELLS = 3
 LEAST_RELIABILITY = 0.5  # share of a plane's variance that is no noise
-FLOOR = 1e-2  # of the mean light: anything darker is just black
+BLACK_LIGHT_RATIO = 1e-2  # of the mean light: anything darker is just black
 LEAST_SPREAD = {"light": 0.1, Role.DIFFUSE_ALBEDO: 0.01, Role.NORMAL: 0.02, Role.DEPTH: 0.02}
 """Standard deviation below which a plane tells nothing: stops, reflectance, unit vectors, doublings."""
 
@@ -112,7 +113,7 @@ class CutDetector:
         self.relation = None
         if before and self._before and not frame.reset:
             self.relation = relation(_on_grid(before, self._before), self._before)
-        return self.relation is not None and self.relation < RELATED
+        return self.relation is not None and self.relation < SAME_SHOT_CORRELATION
 
 
 def relation(before: Picture, now: Picture) -> float | None:
@@ -124,7 +125,7 @@ def relation(before: Picture, now: Picture) -> float | None:
     still = np.zeros_like(now.light)
     is_whole = now.motion is not None and bool(np.isfinite(now.motion).all())
     first = _compare(before, now, still if now.motion is None else np.nan_to_num(now.motion))
-    if first is None or first >= RELATED:
+    if first is None or first >= SAME_SHOT_CORRELATION:
         return first
     other = still if is_whole else still + _shift(before, now)
     return max(first, _compare(before, now, other) or 0.0)
@@ -153,7 +154,7 @@ def _picture(frame: Frame) -> Picture | None:
         return None
     halves = half_means(colour, block)
     mean = (np.sqrt(halves).sum() / halves.size) ** 2
-    light = np.log2(halves + (FLOOR * mean or 1.0))
+    light = np.log2(halves + (BLACK_LIGHT_RATIO * mean or 1.0))
     guides: dict[Role, np.ndarray] = {}
     for role in (Role.DIFFUSE_ALBEDO, Role.NORMAL):
         if role in planes:
@@ -174,7 +175,7 @@ def _log_depth(depth: np.ndarray) -> np.ndarray:
 
 def _band(planes: np.ndarray) -> np.ndarray:
     """(rows, columns, ...) without the finest noise and without what is wide."""
-    return band_of(planes.reshape(*planes.shape[:2], -1), SMOOTH, BAND).reshape(planes.shape)
+    return band_of(planes.reshape(*planes.shape[:2], -1), SMOOTHED_CELLS, LAYOUT_CELLS).reshape(planes.shape)
 
 
 def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
@@ -187,7 +188,7 @@ def _compare(before: Picture, now: Picture, motion: np.ndarray) -> float | None:
     if len(places[0]) < max(LEAST_COMPARED, LEAST_OVERLAP * cells):
         return 0.0
     light = _correlation(before.light, now.light, places, LEAST_SPREAD["light"])
-    if light is not None and light >= RELATED:
+    if light is not None and light >= SAME_SHOT_CORRELATION:
         return light
     guides = [_correlation(before.band(role), now.band(role), places, LEAST_SPREAD[role])
               for role in now.guides if role in before.guides

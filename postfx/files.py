@@ -35,7 +35,7 @@ MAX_BYTES = 1 << 30
 _MOST_DOTS = 200
 PARTIAL = ".part"
 """Suffix of files that are being written; no frame pattern matches it."""
-PIECE = 1 << 22
+FILE_PIECE_BYTES = 1 << 22
 """Bytes that are read, hashed or written at once."""
 _NAME_BYTES = 120  # of the final name within the temporary one: file systems limit the length of names
 _TEMPORARY = re.compile(rf"\.(?P<name>.+)\.(?P<host>[\w-]+)-(?P<process>\d{{1,9}})-\d+{re.escape(PARTIAL)}", re.DOTALL)
@@ -114,7 +114,7 @@ def hash_file(path: Path) -> str:
         raise OSError(errno.EINVAL, "it is not a file", str(path))
     digest = hashlib.sha256()
     with path.open("rb") as file:
-        while piece := file.read(PIECE):
+        while piece := file.read(FILE_PIECE_BYTES):
             digest.update(piece)
     return digest.hexdigest()
 

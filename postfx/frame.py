@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from postfx.colour.displays import KINDS, parse_display
+from postfx.colour.displays import DISPLAY_KINDS, parse_display
 from postfx.errors import ColourError, FrameError, GuideError, suggest
 from postfx.system import host_floats
 
@@ -69,7 +69,7 @@ class RoleInfo(NamedTuple):
 
 
 _REFLECTANCE = "linear Rec.709"
-_COLOUR = "the colour's"
+_OF_COLOUR = "the colour's"
 
 ROLES: Mapping[Role, RoleInfo] = {
     Role.COLOUR: RoleInfo(3, "radiance", "scene-linear Rec.709", "0..inf", "none; premultiplied by alpha"),
@@ -91,9 +91,9 @@ ROLES: Mapping[Role, RoleInfo] = {
     Role.DENOISING_ALBEDO: RoleInfo(3, "reflectance", _REFLECTANCE, "0..1", "also of what mirrors and glass show"),
     Role.DENOISING_NORMAL: RoleInfo(3, "none", "camera, as in files", "-1..1", "also of what mirrors and glass show"),
     Role.ERROR: RoleInfo(1, "squared code values", "sRGB of x / (1 + x)", "0..1", "expected of the denoised colour"),
-    Role.VARIANCE_OF_MEAN: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "squared standard error of the pixel"),
-    Role.SAMPLE_VARIANCE: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "of a pixel's samples"),
-    Role.SECOND_MOMENT: RoleInfo(3, "radiance squared", _COLOUR, "0..inf", "mean of a pixel's squared samples"),
+    Role.VARIANCE_OF_MEAN: RoleInfo(3, "radiance squared", _OF_COLOUR, "0..inf", "squared standard error of the pixel"),
+    Role.SAMPLE_VARIANCE: RoleInfo(3, "radiance squared", _OF_COLOUR, "0..inf", "of a pixel's samples"),
+    Role.SECOND_MOMENT: RoleInfo(3, "radiance squared", _OF_COLOUR, "0..inf", "mean of a pixel's squared samples"),
     Role.SAMPLE_COUNT: RoleInfo(1, "samples a pixel", "none", "0..inf", "or shares, 0..1, of the header's number"),
 }
 
@@ -107,7 +107,7 @@ DEPTH_MISS = 1e10
 """Depth of a pixel whose ray hit nothing."""
 
 LINEAR = ("scene-linear", "display-linear")
-ENCODINGS = (*LINEAR, *KINDS)
+ENCODINGS = (*LINEAR, *DISPLAY_KINDS)
 """Meanings of the colour plane: light in the scene, light of a display (1 is white), both in Rec.709; and code values
 0..1 of a display by its name, with peak and white for HDR ('pq,peak=1000,white=203')."""
 
@@ -493,7 +493,7 @@ class Frame:
             raise GuideError(f"plane '{role}' of frame {self._name()} cannot be a guide: use "
                              f"{', '.join(OUTPUT_SIZE_ROLES)}")
         channels = ROLES[role].channels
-        if type(plane) is np.ndarray and plane.dtype == _FLOATS and plane.ndim == 3 and plane.flags.c_contiguous \
+        if type(plane) is np.ndarray and plane.dtype == _FLOAT32 and plane.ndim == 3 and plane.flags.c_contiguous \
                 and plane.shape[2] == channels and plane.size:
             return plane  # as nearly all are
         plane = host_floats(plane, f"{kind} '{role}' of frame {self._name()}")
@@ -518,7 +518,7 @@ class Frame:
         return f"{self.number} ({source})" if source else str(self.number)
 
 
-_FLOATS = np.dtype(np.float32)
+_FLOAT32 = np.dtype(np.float32)
 _ORIGIN = ("part_sources", "source", "guide_source", "colour_source")
 """Fields of a frame that tell where it was read from."""
 

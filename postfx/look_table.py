@@ -25,7 +25,7 @@ from postfx.runtime import Device
 
 SPACE = "ACEScct"
 """Colour space of a table's input: logarithmic, with the primaries AP1; 0..1 is light up to 222."""
-SHARE = 0.01
+MOST_REPLACED_SHARE = 0.01
 """Largest part of a picture's pixels that is replaced at once."""
 TURNS = 4
 
@@ -71,7 +71,7 @@ class LookTable:
 
     def _probe(self, frame: Frame, corners: np.ndarray, turn: int) -> np.ndarray:
         """The look's results (count, 3) for colours (count, 3) at places that differ from turn to turn."""
-        picture = _enlarge(frame[Role.COLOUR], len(corners) / SHARE)
+        picture = _enlarge(frame[Role.COLOUR], len(corners) / MOST_REPLACED_SHARE)
         places = np.random.default_rng(turn).permutation(picture[..., 0].size)[: len(corners)]
         picture.reshape(-1, 3)[places] = corners
         return self._apply(replace(frame, planes={Role.COLOUR: picture})).reshape(-1, 3)[places]

@@ -32,10 +32,14 @@ __all__ = ["Grid", "Learner", "Network"]
 
 OPSET = 20
 """The first with GELU."""
-GROUPS, GPU_GROUPS = (256, 64), (64, 132)
-"""Points of a group at least, and groups at most, on the CPU, where a thread sums a group, and on a GPU, where a block
-does."""
-DECAYS, EPSILON = (0.9, 0.999), 1e-8
+
+# Points of a group at least, and groups at most, on the CPU, where a thread sums a group, and on
+# a GPU, where a block does.
+CPU_GROUPS = (256, 64)
+GPU_GROUPS = (64, 132)
+
+DECAYS = (0.9, 0.999)
+EPSILON = 1e-8
 LEAST_RATE = 1e-6
 """What `Learner.fit` ends with."""
 
@@ -345,7 +349,7 @@ class Learner:
         self._check(points, self._inputs, points.shape[0])
         self._check(targets, self.network.outputs, points.shape[0])
         rows, pulls = self._read(encoder, points)
-        least, most = GROUPS if self.device.memory.host_visible else GPU_GROUPS
+        least, most = CPU_GROUPS if self.device.memory.host_visible else GPU_GROUPS
         groups = min(most, -(-points.shape[0] // least))
         if groups not in self._partials:
             self._partials[groups] = self.device.heap.tensor("neural partials", (groups, self.network.count + 2))

@@ -15,33 +15,33 @@ from postfx.caching import LRUCache
 from postfx.errors import DeviceError
 from postfx.version import pip_install
 
-PACKAGE = "pyoidn"
+OIDN_PACKAGE = "pyoidn"
 QUALITIES = ("fast", "balanced", "high")
-WAYS = ("clean", "prefiltered", "raw")
+GUIDE_WAYS = ("clean", "prefiltered", "raw")
 """How albedo and normal are taken: as if they had no noise; each filtered alone first; as noisy ones."""
-MOST_SIZES = 4
+MOST_COMMITTED_SIZES = 4
 """Most sizes and sets of planes whose filters stay committed."""
 
 
 def is_installed() -> bool:
     """Whether the package is there; it is not imported."""
-    return find_spec(PACKAGE) is not None
+    return find_spec(OIDN_PACKAGE) is not None
 
 
 def version() -> str:
     """The package's version, '' where it is not installed."""
-    return metadata.version(PACKAGE) if is_installed() else ""
+    return metadata.version(OIDN_PACKAGE) if is_installed() else ""
 
 
 def finds_cuda() -> bool:
     """Whether the filters can run on a CUDA device."""
-    return bool(import_module(PACKAGE).Device.is_cuda_available())
+    return bool(import_module(OIDN_PACKAGE).Device.is_cuda_available())
 
 
 def require() -> None:
     """Raise DeviceError where the package is not installed."""
     if not is_installed():
-        raise DeviceError(f"the package {PACKAGE}, which runs Open Image Denoise, is not installed: "
+        raise DeviceError(f"the package {OIDN_PACKAGE}, which runs Open Image Denoise, is not installed: "
                           f"{pip_install('oidn')}")
 
 
@@ -51,7 +51,7 @@ class Kind(NamedTuple):
     Attributes:
         height, width: of the picture.
         aids: names of the planes beside it.
-        planes: how these are taken, one of WAYS.
+        planes: how these are taken, one of GUIDE_WAYS.
         hdr: whether the picture is light without a limit.
     """
 
@@ -73,7 +73,7 @@ class OpenImageDenoise:
         quality: 'fast', 'balanced' or 'high'.
         device: 'cpu' or 'cuda'.
         threads: CPU threads.
-        planes: how albedo and normal are taken, one of WAYS.
+        planes: how albedo and normal are taken, one of GUIDE_WAYS.
 
     Attributes:
         milliseconds: total time in the filters, without copies to and from the device.
@@ -83,11 +83,11 @@ class OpenImageDenoise:
 
     def __init__(self, quality: str, device: str, threads: int, planes: str = "prefiltered") -> None:
         require()
-        self._oidn: Any = import_module(PACKAGE)
+        self._oidn: Any = import_module(OIDN_PACKAGE)
         self._quality = getattr(self._oidn, f"OIDN_QUALITY_{quality.upper()}")
         self._planes = planes
         self._device = self._new_device(device, threads)
-        self._ready: LRUCache[Kind, Filters] = LRUCache(MOST_SIZES)
+        self._ready: LRUCache[Kind, Filters] = LRUCache(MOST_COMMITTED_SIZES)
         self.milliseconds = 0.0
 
     def __call__(self, picture: np.ndarray, aids: Mapping[str, np.ndarray], output: np.ndarray,

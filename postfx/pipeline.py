@@ -25,13 +25,15 @@ from postfx.repair import is_unusable, repair_nonfinite
 from postfx.runtime import BindingError, CommandBuffer, CommandError, Device, Tensor, default_device
 from postfx.runtime.encoders import Recordings
 from postfx.runtime.memory import address
-from postfx.wrap import AROUND, AUTO, crop, is_panorama, validate_wrap, widen, widened_plan
+from postfx.wrap import WRAP_AROUND, WRAP_AUTO, crop, is_panorama, validate_wrap, widen, widened_plan
 
 if TYPE_CHECKING:
     from postfx.doctor.first_frames import FirstFrames
 
-MOST_COPIES, SMALL = MOST_SIZES * (len(Role) + len(GUIDE_ROLES)), 1 << 20
-"""Planes and guides of all sizes that are kept ready; bytes that are copied sooner than commands are recorded."""
+# Planes and guides of all sizes that are kept ready; bytes that are copied sooner than commands
+# are recorded.
+MOST_COPIES = MOST_SIZES * (len(Role) + len(GUIDE_ROLES))
+SMALL_COPY_BYTES = 1 << 20
 
 RunUp = Callable[[Frame, Callable[[Frame], None]], Frame]
 """Runs frames before one that begins a shot, by the function that it is given, and says as what that one is run."""
@@ -96,7 +98,7 @@ class Pipeline:
         cuts: str = "auto",
         run_up: RunUp | None = None,
         checks: bool = True,
-        wrap: str = AUTO,
+        wrap: str = WRAP_AUTO,
     ) -> None:
         if cuts not in ("auto", "none"):
             raise CutError(f"cuts '{cuts}': use auto or none, and frame.reset for cuts that are known")
@@ -203,8 +205,8 @@ class Pipeline:
 
     def _goes_around(self, frame: Frame) -> bool:
         """Whether a frame's right edge goes on at the left one."""
-        return self._wrap == AROUND or (self._wrap == AUTO and "textureformat" in frame.metadata
-                                        and is_panorama(frame.metadata))
+        return self._wrap == WRAP_AROUND or (self._wrap == WRAP_AUTO and "textureformat" in frame.metadata
+                                             and is_panorama(frame.metadata))
 
     def _look(self, frame: Frame, plan: Plan) -> None:
         """Tell the log what is plainly wrong with the first frames."""
@@ -322,7 +324,7 @@ class Pipeline:
         """
         for name in views:
             self._of_view(name).compile(spec)
-        return self._make_plan(spec, self._wrap == AROUND)
+        return self._make_plan(spec, self._wrap == WRAP_AROUND)
 
     def explain(self, spec: FrameSpec | None = None) -> Plan:
         """The plan for a spec, by default the last frame's, with what frames were spared so far. `print` it, or take
@@ -531,7 +533,7 @@ class Flow:
             return last  # it keeps its memory alive, so that nothing else can lie there
         if last and last.allocation.borrowed:
             last.release()
-        if away or (last and array.nbytes <= SMALL):
+        if away or (last and array.nbytes <= SMALL_COPY_BYTES):
             copy = self._copies.get_or_make((name, array.shape), partial(self._device.heap.tensor, name, array.shape))
         found = self._inputs[name] = copy if copy and not away else self._device.wrap(name, array, copy)
         if found is copy:

@@ -12,7 +12,7 @@ from postfx.errors import MissingPlaneError, PassContractError
 from postfx.frame import FrameSpec, Role
 from postfx.passes import Pass, Reflection
 
-KEPT = (Role.COLOUR, Role.ALPHA, Role.OVERLAY)
+KEPT_PLANES = (Role.COLOUR, Role.ALPHA, Role.OVERLAY)
 """Planes that are wanted in the output even when no pass touches them."""
 NO_GUIDES = "none: albedo, normals and depth at output size would make edges sharper (--guides)"
 
@@ -163,7 +163,7 @@ def _find_needed(spec: FrameSpec, steps: Iterable[Step]) -> tuple[Role, ...]:
     for step in steps:
         needed |= set(step.uses) - provided
         provided |= set(step.reflection.writes)
-    needed |= set(KEPT) - provided
+    needed |= set(KEPT_PLANES) - provided
     return tuple(role for role in spec.roles if role in needed)
 
 

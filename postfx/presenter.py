@@ -25,7 +25,7 @@ BUCKET = 0.125
 """Width of a bucket of measured intervals, as a share of the interval."""
 SPIN = 0.002
 """Seconds before a turn at which the clock stops sleeping and looks at the time: a system may sleep so much longer."""
-WAITING = 4
+MOST_WAITING_PICTURES = 4
 """Pictures that may wait for their turn before `submit` waits, too."""
 
 
@@ -196,7 +196,7 @@ class Presenter:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="postfx presenter", daemon=True)
                 self._thread.start()
-            self._changed.wait_for(lambda: len(self._queue) < WAITING or self._failed)
+            self._changed.wait_for(lambda: len(self._queue) < MOST_WAITING_PICTURES or self._failed)
             self._raise()
             self._queue.append((picture, between))
             self._changed.notify_all()

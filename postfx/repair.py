@@ -13,16 +13,24 @@ from postfx.frame import Frame, Role
 from postfx.planes import INFINITY_BITS, WORTH, largest_bits_of
 from postfx.system import Scratch
 
-KNOWN = 0.75
+LEAST_KNOWN_SHARE = 0.75
 """Share of a pixel's neighbours that must be finite: repairs one, two or three bad pixels, not the edge of a sun."""
-SIDE, RIM = 4, 0.375
-"""Longest side in pixels of a block of bad pixels that is repaired, and the share of finite neighbours at its rim."""
-MOST = 0.5
+
+# Longest side in pixels of a block of bad pixels that is repaired, and the share of finite
+# neighbours at its rim.
+LONGEST_BLOCK_PX = 4
+LEAST_RIM_SHARE = 0.375
+
+MOST_BAD_SHARE = 0.5
 """Share of bad pixels in the colour above which the frame is lost, and bad pixels count as black."""
 _INFINITY = int(INFINITY_BITS)
-REACH, FEW = 2, 3
-"""Fireflies are told by the pixels so far around them, of which the brightest `FEW` - 1 may be fireflies, too."""
-AROUND = tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x)
+
+# Fireflies are told by the pixels so far around them, of which the brightest `FIREFLY_RANK` - 1
+# may be fireflies, too.
+FIREFLY_REACH_PX = 2
+FIREFLY_RANK = 3
+
+NEIGHBOUR_OFFSETS = tuple((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x)
 
 
 def repair_nonfinite(
@@ -66,7 +74,7 @@ def still_where_unknown(motion: np.ndarray, scratch: Scratch | None = None) -> n
 
 def is_unusable(frame: Frame, counts: dict[Role, int]) -> bool:
     """Whether a frame with these counts is lost: more than half of its colour is not finite."""
-    return Role.COLOUR in counts and counts[Role.COLOUR] > MOST * frame[Role.COLOUR][..., 0].size
+    return Role.COLOUR in counts and counts[Role.COLOUR] > MOST_BAD_SHARE * frame[Role.COLOUR][..., 0].size
 
 
 def find_nonfinite(planes: Mapping[Role, np.ndarray], scratch: Scratch | None = None) -> dict[Role, np.ndarray]:
@@ -108,12 +116,12 @@ def _copy(plane: np.ndarray, scratch: Scratch | None) -> np.ndarray:
 def _fill(colour: np.ndarray, bad: np.ndarray) -> None:
     """Repair single bad pixels of the colour, then small blocks from the rim inwards."""
     rows, columns = np.nonzero(bad)
-    _fill_some(colour, bad, rows, columns, KNOWN)
+    _fill_some(colour, bad, rows, columns, LEAST_KNOWN_SHARE)
     left = bad.copy()
     left[rows, columns] = ~np.isfinite(colour[rows, columns]).all(axis=1)
     rows, columns = _in_small_blocks(left)
     while rows.size:
-        filled = _fill_some(colour, left, rows, columns, RIM)
+        filled = _fill_some(colour, left, rows, columns, LEAST_RIM_SHARE)
         if not filled.any():
             return
         left[rows[filled], columns[filled]] = False
@@ -124,7 +132,7 @@ def _fill_some(colour: np.ndarray, bad: np.ndarray, rows: np.ndarray, columns: n
     """Write the mean of the finite neighbours into these pixels; (count,) whether each had a large enough share."""
     height, width = bad.shape
     total, known, there = np.zeros((rows.size, 3)), np.zeros(rows.size), np.zeros(rows.size)
-    for down, right in AROUND:
+    for down, right in NEIGHBOUR_OFFSETS:
         y, x = rows + down, columns + right
         inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
         y, x = np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)
@@ -137,19 +145,19 @@ def _fill_some(colour: np.ndarray, bad: np.ndarray, rows: np.ndarray, columns: n
 
 
 def _in_small_blocks(bad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of bad pixels that have at most `SIDE` bad ones in a row, across and down."""
+    """Rows and columns of bad pixels that have at most `LONGEST_BLOCK_PX` bad ones in a row, across and down."""
     rows, columns = np.nonzero(bad)
     for down, right in ((0, 1), (1, 0)):
         run = _run(bad, rows, columns, down, right) + _run(bad, rows, columns, -down, -right) + 1
-        rows, columns = rows[run <= SIDE], columns[run <= SIDE]
+        rows, columns = rows[run <= LONGEST_BLOCK_PX], columns[run <= LONGEST_BLOCK_PX]
     return rows, columns
 
 
 def _run(bad: np.ndarray, rows: np.ndarray, columns: np.ndarray, down: int, right: int) -> np.ndarray:
-    """(count,): bad pixels in a row beside each pixel in one direction, counted up to `SIDE`."""
+    """(count,): bad pixels in a row beside each pixel in one direction, counted up to `LONGEST_BLOCK_PX`."""
     height, width = bad.shape
     length, goes_on = np.zeros(rows.size, int), np.ones(rows.size, bool)
-    for step in range(1, SIDE + 1):
+    for step in range(1, LONGEST_BLOCK_PX + 1):
         y, x = rows + step * down, columns + step * right
         inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
         goes_on &= inside & bad[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
@@ -227,12 +235,12 @@ def clamp_fireflies(frame: Frame, limit: float, count: Fireflies, lights: Iterab
 def _third_brightest(bright: np.ndarray) -> np.ndarray:
     """Of the pixels around each one (height, width)."""
     height, width = bright.shape
-    wide = np.pad(bright, REACH, "reflect")
-    brightest = [np.zeros_like(bright) for _ in range(FEW)]
-    for down in range(2 * REACH + 1):
-        for right in range(2 * REACH + 1):
+    wide = np.pad(bright, FIREFLY_REACH_PX, "reflect")
+    brightest = [np.zeros_like(bright) for _ in range(FIREFLY_RANK)]
+    for down in range(2 * FIREFLY_REACH_PX + 1):
+        for right in range(2 * FIREFLY_REACH_PX + 1):
             value = wide[down : down + height, right : right + width]
-            if (down, right) == (REACH, REACH):
+            if (down, right) == (FIREFLY_REACH_PX, FIREFLY_REACH_PX):
                 continue
             for i, held in enumerate(brightest):
                 brightest[i], value = np.maximum(held, value), np.minimum(held, value)

@@ -19,21 +19,34 @@ import numpy as np
 from postfx.colour import luminance
 from postfx.frame import Role
 
-SIDE = 12  # pixels of a square
-MOST_ROWS, MOST_COLUMNS = 9, 14
-"""Squares, spread over the picture."""
+REPEAT_SIDE_PX = 12  # pixels of a square
+
+# Squares, spread over the picture.
+MOST_SQUARE_ROWS = 9
+MOST_SQUARE_COLUMNS = 14
+
 SLOW = 0.75  # pixels: faster noise is met by other noise, and its mean is worth something
-NOISY, NEW = 0.002, 0.0005
-"""Least standard deviation, of 1/4 of the light, of noise that may repeat, and of noise that speaks against it."""
-WHITE = 0.5
+
+# Least standard deviation, of 1/4 of the light, of noise that may repeat, and of noise that
+# speaks against it.
+NOISY = 0.002
+NEW = 0.0005
+
+WHITE_NOISE_ENERGY = 0.5
 """Least energy of the diagonal differences of noise in parts of the others': 0.9 in the median for 4 samples of Cycles,
 0.1 to 0.2 for textures and edges."""
-SAME, OTHER = 0.3, 0.6
-"""Energy of the change of noise, in parts of twice its own, up to which it is the same, from which on it is new."""
-LEAST_SHARE, LEAST_SQUARES = 0.05, 4
-"""Of the squares, that must repeat."""
-FLOOR = np.float32(0.03)  # of albedo: what is darker is as good as black
-DARK = np.float32(1e-6)
+
+# Energy of the change of noise, in parts of twice its own, up to which it is the same, from which
+# on it is new.
+SAME_NOISE_ENERGY = 0.3
+NEW_NOISE_ENERGY = 0.6
+
+# Of the squares, that must repeat.
+LEAST_SHARE = 0.05
+FEWEST_REPEATING_SQUARES = 4
+
+BLACK_ALBEDO = np.float32(0.03)  # of albedo: what is darker is as good as black
+DARK_LIGHT = np.float32(1e-6)
 ONE_SEED = ("the same random seed in every frame",
             "change the seed with the frame number (Blender: Noise > Seed, clock icon; Mitsuba: seed of render)")
 """The likely cause, and the fix."""
@@ -68,7 +81,7 @@ class RepeatDetector:
     def __call__(self, planes: Mapping[Role, np.ndarray]) -> bool:
         """Of finite planes with scene-linear colour; without motion, nothing is known to be slow."""
         size, last, self.share = planes[Role.COLOUR].shape[:2], self._before, 0.0
-        if min(size) < SIDE:
+        if min(size) < REPEAT_SIDE_PX:
             return False
         light = self._light(planes)
         self._before, known = laplacian(light), last is not None and self._size == size
@@ -79,34 +92,36 @@ class RepeatDetector:
         energy = (np.square(last).mean((-2, -1)) + np.square(self._before).mean((-2, -1))) / 2
         change = np.square(self._before - last).mean((-2, -1)) / 2
         slow = moves < SLOW
-        noisy = slow & (energy > NOISY**2) & (whiteness(light) > WHITE)
-        repeats = (noisy & (change < SAME * energy)).sum()
-        new = (slow & (change > OTHER * energy) & (change > NEW**2)).sum()
+        noisy = slow & (energy > NOISY**2) & (whiteness(light) > WHITE_NOISE_ENERGY)
+        repeats = (noisy & (change < SAME_NOISE_ENERGY * energy)).sum()
+        new = (slow & (change > NEW_NOISE_ENERGY * energy) & (change > NEW**2)).sum()
         self.share = float(repeats / slow.size)
-        return bool(repeats >= LEAST_SQUARES and self.share >= LEAST_SHARE and repeats > 2 * new)
+        return bool(repeats >= FEWEST_REPEATING_SQUARES and self.share >= LEAST_SHARE and repeats > 2 * new)
 
     def _light(self, planes: Mapping[Role, np.ndarray]) -> np.ndarray:
-        """White light of the squares (rows, columns, SIDE, SIDE), 0 to 1, about 1/2 in the middle of each square."""
+        """White light of the squares (rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX), 0 to 1, about 1/2 in the middle
+        of each square."""
         albedos = [squares(planes[role]) for role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO) if role in planes]
         colour = squares(planes[Role.COLOUR])
-        light = np.maximum(luminance(colour / np.maximum(sum(albedos), FLOOR) if albedos else colour), 0)
+        light = np.maximum(luminance(colour / np.maximum(sum(albedos), BLACK_ALBEDO) if albedos else colour), 0)
         usual = np.median(light, axis=(-2, -1), keepdims=True) + light.mean((-2, -1), keepdims=True) / 8
-        result: np.ndarray = light / (light + usual + DARK)
+        result: np.ndarray = light / (light + usual + DARK_LIGHT)
         return result
 
 
 def squares(plane: np.ndarray) -> np.ndarray:
-    """(rows, columns, SIDE, SIDE, channels) of a plane (height, width, channels)."""
-    (rows, down), (columns, right) = _places(plane.shape[0], MOST_ROWS), _places(plane.shape[1], MOST_COLUMNS)
-    some: np.ndarray = plane[down][:, right].reshape(rows, SIDE, columns, SIDE, -1).swapaxes(1, 2)
+    """(rows, columns, REPEAT_SIDE_PX, REPEAT_SIDE_PX, channels) of a plane (height, width, channels)."""
+    (rows, down), (columns,
+                   right) = _places(plane.shape[0], MOST_SQUARE_ROWS), _places(plane.shape[1], MOST_SQUARE_COLUMNS)
+    some: np.ndarray = plane[down][:, right].reshape(rows, REPEAT_SIDE_PX, columns, REPEAT_SIDE_PX, -1).swapaxes(1, 2)
     return some
 
 
 def _places(side: int, most: int) -> tuple[int, np.ndarray]:
     """How many squares there are along a side, and their pixels."""
-    count = min(side // SIDE, most)
-    first = np.linspace(0, side - SIDE, count).astype(int)
-    return count, (first[:, None] + np.arange(SIDE)).ravel()
+    count = min(side // REPEAT_SIDE_PX, most)
+    first = np.linspace(0, side - REPEAT_SIDE_PX, count).astype(int)
+    return count, (first[:, None] + np.arange(REPEAT_SIDE_PX)).ravel()
 
 
 def laplacian(light: np.ndarray) -> np.ndarray:
@@ -121,7 +136,7 @@ def whiteness(light: np.ndarray) -> np.ndarray:
     a, b = light[..., :-1, :-1], light[..., :-1, 1:]
     c, d = light[..., 1:, :-1], light[..., 1:, 1:]
     across, down, diagonal = (np.square(one).mean((-2, -1)) for one in (a - b + c - d, a + b - c - d, a - b - c + d))
-    result: np.ndarray = 2 * diagonal / (across + down + DARK)
+    result: np.ndarray = 2 * diagonal / (across + down + DARK_LIGHT)
     return result
 
 

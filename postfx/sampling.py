@@ -8,7 +8,7 @@ import numpy as np
 
 Curve = Callable[[np.ndarray], np.ndarray]
 
-BAND = 128
+BAND_ROWS = 128
 """Rows of a band: whole squares of those in which `postfx.masks.noise` measures noise."""
 
 
@@ -59,8 +59,8 @@ def bands(height: int, reach: int) -> Iterator[tuple[int, int, int, int]]:
 
     Work on bands takes less memory than work on the whole picture.
     """
-    for first in range(0, height, BAND):
-        last = min(height, first + BAND)
+    for first in range(0, height, BAND_ROWS):
+        last = min(height, first + BAND_ROWS)
         yield first, last, max(0, first - reach), min(height, last + reach)
 
 

@@ -76,7 +76,7 @@ def denoise(
     planes: dict[Role, Any] = {role: plane for role, plane in aids.items() if plane is not None}
     gpu = _gpu_of(picture)
     place = device if gpu is None or device is not None else f"cuda:{gpu}"
-    with _ONE_AT_A_TIME:
+    with _DENOISER_LOCK:
         pipeline = _pipeline(scale, model, strength, exposure, place, os.getpid())
         pipeline.reset()
         return _on_host(pipeline, picture, planes) if gpu is None else _on_gpu(pipeline, picture, planes)
@@ -118,6 +118,6 @@ def _pipeline(scale: float, model: str, strength: float, exposure: str | float, 
                     None if device is None else Device(device), exposure)
 
 
-_ONE_AT_A_TIME = threading.Lock()
+_DENOISER_LOCK = threading.Lock()
 _GPU_KINDS = (2, 13)
 """DLPack's numbers of CUDA's memory, and of memory that CUDA manages on both sides."""

@@ -32,17 +32,18 @@ import numpy as np
 from postfx.errors import FrameError, MemoryBudgetError
 from postfx.workers import Workers
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE_FOLDER = Path(__file__).resolve().parent
 MOST_HEAPS = -8  # M_ARENA_MAX of glibc's malloc.h
-_GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+_GROUPS = Path("/sys/fs/cgroup")
+_OWN = Path("/proc/self/cgroup")
 
 # Files
 
 
 def models_dir() -> Path:
     """Folder of the model packages (*.onnx + *.json): inside an installed wheel, or `models/` of a checkout."""
-    packaged = _PACKAGE / "_models"
-    return packaged if packaged.is_dir() else _PACKAGE.parent / "models"
+    packaged = _PACKAGE_FOLDER / "_models"
+    return packaged if packaged.is_dir() else _PACKAGE_FOLDER.parent / "models"
 
 
 def is_plain_name(name: str) -> bool:
@@ -201,26 +202,26 @@ def in_bands(height: int, kernel: Callable[..., None], *arguments: Any) -> None:
 
 # A memory budget
 
-_UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
-_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
+_SIZE_UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_SIZE_TEXT = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 PROCESS = 320 << 20
 """Bytes of a process in which nothing is worked on yet, and of small things."""
-LEAST = 16
+LEAST_BUDGET_PART = 16
 """A budget that is no larger than PROCESS leaves this part of itself."""
-SMALL = 128
+SMALL_ARRAY_PART = 128
 """Arrays below this part of what is left stay in memory."""
-PIECE = 16
+WORK_PIECE_PART = 16
 """Work on large arrays goes in pieces of this part of what is left."""
 
 
 def parse_size(size: str | int) -> int:
     """Bytes of '4G', '512M' or a number; MemoryBudgetError for anything else."""
-    found = _SIZE.fullmatch(str(size).strip())
+    found = _SIZE_TEXT.fullmatch(str(size).strip())
     if found is None or not float(found[1]):
         raise MemoryBudgetError(f"memory budget '{size}' is not a size: give bytes, or a number with K, M, G or T: 4G")
-    if isinstance(size, str) and not found[2] and float(found[1]) < _UNITS["M"]:
+    if isinstance(size, str) and not found[2] and float(found[1]) < _SIZE_UNITS["M"]:
         raise MemoryBudgetError(f"memory budget '{size}' is in bytes without a unit: {found[1]}G for gigabytes?")
-    return int(float(found[1]) * _UNITS[found[2].upper()])
+    return int(float(found[1]) * _SIZE_UNITS[found[2].upper()])
 
 
 class Scratch:
@@ -233,14 +234,14 @@ class Scratch:
 
     def __init__(self, budget: str | int) -> None:
         self.budget = parse_size(budget)
-        self.left = max(self.budget - PROCESS, self.budget // LEAST)
+        self.left = max(self.budget - PROCESS, self.budget // LEAST_BUDGET_PART)
         self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
         self._lock = threading.Lock()  # one thread reads, another writes
 
     def empty(self, shape: tuple[int, ...], dtype: np.typing.DTypeLike = "float32") -> np.ndarray:
         """An array of any content, in a temporary file if it is large."""
         nbytes = math.prod(shape) * np.dtype(dtype).itemsize
-        if nbytes < self.left // SMALL:
+        if nbytes < self.left // SMALL_ARRAY_PART:
             return np.empty(shape, dtype)
         return np.frombuffer(self.map_file(nbytes), dtype, math.prod(shape)).reshape(shape)
 
@@ -266,7 +267,7 @@ class Scratch:
 
     def pieces(self, rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
         """First and last row, not included, of pieces of something large; pages are let go of after each."""
-        step = max(1, self.left // PIECE // max(1, row_bytes))
+        step = max(1, self.left // WORK_PIECE_PART // max(1, row_bytes))
         for first in range(0, rows, step):
             yield first, min(rows, first + step)
             self.relax()

@@ -29,7 +29,7 @@ from postfx.passes import Pass, ResidentFrame, registry
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 
-SIZE = (37, 29)
+CONTRACT_SIZE_PX = (37, 29)
 """Width and height of the frames of the contract suite: odd, so that halves do not fit."""
 PORTABLE_TOLERANCE = 1e-3
 """Relative and absolute difference that is allowed between the forms of a kernel."""
@@ -124,7 +124,8 @@ def make_frame(spec: FrameSpec, number: int = 1, **facts: Any) -> Frame:
     return Frame(planes, number=number, encoding=spec.encoding, guides=dict(guides), **facts)
 
 
-def find_spec(instance: Pass, roles: tuple[Role, ...] = tuple(Role), size: tuple[int, int] = SIZE) -> FrameSpec:
+def find_spec(instance: Pass, roles: tuple[Role, ...] = tuple(Role),
+              size: tuple[int, int] = CONTRACT_SIZE_PX) -> FrameSpec:
     """A spec that the pass is not skipped for."""
     specs = [FrameSpec(*size, roles, encoding) for encoding in ENCODINGS]
     found = next((spec for spec in specs if instance.skip(spec) is None), None)
@@ -186,7 +187,7 @@ class PassContract:
         instance = make()
         for encoding in ENCODINGS:
             for roles in (tuple(Role), (Role.COLOUR,), (Role.COLOUR, Role.ALPHA)):
-                reason = instance.skip(FrameSpec(*SIZE, roles, encoding))
+                reason = instance.skip(FrameSpec(*CONTRACT_SIZE_PX, roles, encoding))
                 assert reason is None or (isinstance(reason, str) and reason.strip() and "\n" not in reason)
 
     def test_encode_before_compile_is_an_error(self, make: Maker, device: Device) -> None:
@@ -233,7 +234,8 @@ class PassContract:
 
     def test_guides_that_are_not_declared_do_not_matter(self, make: Maker, device: Device) -> None:
         instance = make()
-        spec = replace(find_spec(instance), guides=GuideSpec(2 * SIZE[0], 2 * SIZE[1], GUIDE_ROLES))
+        spec = replace(find_spec(instance),
+                       guides=GuideSpec(2 * CONTRACT_SIZE_PX[0], 2 * CONTRACT_SIZE_PX[1], GUIDE_ROLES))
         reflection = instance.reflect(spec)
         given = make_frame(spec)
         fewer = replace(given, guides={role: given.guides[role] for role in reflection.may_read_guides})

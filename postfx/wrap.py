@@ -19,10 +19,10 @@ from postfx.passes import Pass
 from postfx.passes.denoise.tiling import GRID
 from postfx.plan import Plan, make_plan
 
-AUTO = "auto"
-AROUND = "x"
-NONE = "none"
-WRAPS = (AUTO, AROUND, NONE)
+WRAP_AUTO = "auto"
+WRAP_AROUND = "x"
+WRAP_NONE = "none"
+WRAPS = (WRAP_AUTO, WRAP_AROUND, WRAP_NONE)
 LEAST_MARGIN = 64
 """Render pixels on either side: what the networks see around a pixel."""
 MARGINS_A_WIDTH = 16

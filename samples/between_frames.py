@@ -135,7 +135,7 @@ METHODS: dict[str, Callable[[Gap], np.ndarray]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("folders", nargs="*", type=Path, default=[ROOM])
     parser.add_argument("--most", type=int, default=99, help="frames to make of each folder")
     parser.add_argument("--picture", help="write: blend, postfx, rendered, of the second frame of the last folder")

@@ -29,7 +29,7 @@ def psnr(colour: np.ndarray, reference: Frame) -> float:
     return float(-10 * np.log10(np.square(np.subtract(*pictures)).mean()))
 
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path("out/both_ways.png"))
 parser.add_argument("--model", default="m")
 args = parser.parse_args()

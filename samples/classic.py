@@ -20,7 +20,7 @@ import postfx
 from postfx import Role
 
 ROOM = Path(__file__).parent / "room"
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "classic.png")
 parser.add_argument("--noisy", default=str(ROOM / "noisy.####.exr"))
 parser.add_argument("--reference", default=str(ROOM / "reference.####.exr"))

@@ -25,7 +25,7 @@ import numpy as np
 import postfx
 from postfx import Frame, Role, integrate
 from postfx.bench.methods import OTHERS, Method, make
-from postfx.bench.metrics import LUMINANCE, grey_factor, psnr
+from postfx.bench.metrics import LUMINANCE_WEIGHTS, grey_factor, psnr
 from postfx.colour.views import to_codes
 
 PARTS = ("albedo", "light", "shadow edges")
@@ -171,7 +171,7 @@ def main() -> None:
             for part, (start, end) in zip(PARTS, pairwise(ends), strict=True):
                 at = np.s_[EDGE:-EDGE, round(SCALE * start) + EDGE: round(SCALE * end) - EDGE]
                 seen = psnr(to_codes(picture[at], exposure), to_codes(reference[at], exposure))
-                found = share_and_coherence(picture[at] @ LUMINANCE, reference[at] @ LUMINANCE)
+                found = share_and_coherence(picture[at] @ LUMINANCE_WEIGHTS, reference[at] @ LUMINANCE_WEIGHTS)
                 figures.setdefault(name, {}).setdefault(part, []).append((seen, *found))
     print(f"| method | {' | '.join(f'{part}: PSNR, share, coherence' for part in PARTS)} |\n|{' --- |' * 4}")
     for name in sorted(figures, key=lambda name: ("cubic" not in name or "OIDN" in name, "kept" not in name)):

@@ -19,7 +19,7 @@ from postfx.passes.display import make_display_passes
 REFERENCE = Path(__file__).parent / "room" / "reference.0004.exr"
 LOOKS = ("local", "ocio:", "neutral", "agx", "reinhard", None)
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("folder", nargs="?", type=Path, default=Path("out/display"))
 parser.add_argument("--frame", type=Path, default=REFERENCE)
 chosen = parser.parse_args()

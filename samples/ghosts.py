@@ -120,7 +120,7 @@ def measure(results: list[np.ndarray], sequence: list[Shot]) -> tuple[float, flo
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--models", default="s,m")
     parser.add_argument("--smoke", action="store_true", help="puffs of smoke instead of sparks")
     parser.add_argument("-o", "--output", type=Path)

@@ -23,7 +23,7 @@ from postfx.runtime import ArgumentTable, CommandBuffer, Tensor
 
 NORMALS, EACH, STEPS = 32, 16, 4
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "irradiance_network.png")
 parser.add_argument("--samples", type=int, nargs="+", default=[1, 4, 16, 64])
 parser.add_argument("--frames", type=int, nargs="+", default=[1, 4, 16, 64, 256], help="after which it is measured")

@@ -41,7 +41,7 @@ def ball(height, width):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--width", type=int, default=960)
     parser.add_argument("--runs", type=int, default=9)
     parser.add_argument("--device", default="cpu")

@@ -242,7 +242,7 @@ def psnr(found: np.ndarray, wanted: np.ndarray) -> list[float]:
     return [float(-10 * np.log10(part.mean())) for part in (error[:3], error[3:5], error[5:], error)]
 
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "neural_material.png")
 parser.add_argument("--maps", type=Path, help="an array (h, w, 6) of codes 0..1, square, sides a multiple of 4")
 parser.add_argument("--size", type=int, default=256)

@@ -35,7 +35,7 @@ def light_of(reference: Frame, frame: Frame) -> np.ndarray:
     return colour.reshape(h, by, w, by, 3).mean((1, 3))
 
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "neural_shading.png")
 parser.add_argument("--noisy", default=str(ROOM / "noisy.####.exr"), help="whose planes are read")
 parser.add_argument("--reference", default=str(ROOM / "reference.####.exr"))

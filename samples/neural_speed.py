@@ -125,7 +125,7 @@ def milliseconds(form: Form) -> tuple[float, float]:
     return 1000 * (time.perf_counter() - begin), device
 
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("--widths", type=int, nargs="+", default=[16, 32, 64])
 parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
 parser.add_argument("--points", type=int, default=65536)

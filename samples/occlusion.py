@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from postfx import Device, Library
 from postfx.compiled.library import Rows
-from postfx.kernels.occlusion import FAR, HORIZONS, LOOK, LOOKS, SMOOTH, SURFACE
+from postfx.kernels.occlusion import FAR, FIND_LOOKS, FIND_SURFACE, HORIZONS, LOOK, SMOOTH_OCCLUSION
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable, Tensor
 from postfx.system import models_dir
@@ -59,7 +59,7 @@ def blocks(seed: int, size: tuple[int, int], rays: int = 128) -> dict[str, np.nd
     return {"normal": normals @ axes.T, "depth": depth, "visible": visible, "radii": radii, "tangent": tangent}
 
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "occlusion.png")
 parser.add_argument("--train", type=Path, help="folder of views to learn from")
 parser.add_argument("--held-out", type=Path, help="folder of views to measure on")
@@ -71,7 +71,7 @@ parser.add_argument("--hidden", type=int, nargs="+", default=(64, 64))
 parser.add_argument("--threads", type=int, default=1)
 chosen = parser.parse_args()
 device, random = Device("cpu", threads=chosen.threads), np.random.default_rng(0)
-states = {kernel: device.compute_state(kernel) for kernel in (SURFACE, HORIZONS, SMOOTH, LOOKS)}
+states = {kernel: device.compute_state(kernel) for kernel in (FIND_SURFACE, HORIZONS, SMOOTH_OCCLUSION, FIND_LOOKS)}
 
 
 def views_of(folder: Path | None, seeds: range) -> list[dict[str, np.ndarray]]:
@@ -92,8 +92,8 @@ def looked_at(view: dict[str, np.ndarray], k: int) -> tuple[dict[str, Tensor], f
             "raw": new("raw", (height, width)), "smooth": new("smooth", (height, width)),
             "points": new("points", (height * width, LOOK))}
     commands = device.command_buffer("occlusion")
-    for kernel, renamed in ((SURFACE, {}), (HORIZONS, {"visible": "raw"}), (SMOOTH, {"noisy": "raw",
-                            "visible": "smooth"}), (LOOKS, {})):
+    for kernel, renamed in ((FIND_SURFACE, {}), (HORIZONS, {"visible": "raw"}), (SMOOTH_OCCLUSION, {"noisy": "raw",
+                            "visible": "smooth"}), (FIND_LOOKS, {})):
         with commands.compute_encoder(kernel.name) as encoder:
             encoder.barrier(after="compute", before="compute")
             names = (*kernel.reads, *kernel.writes)

@@ -17,7 +17,7 @@ import numpy as np
 
 import postfx
 from postfx import Role
-from postfx.kernels.image import ENLARGE, RESAMPLE, positions
+from postfx.kernels.image import ENLARGE_OVERLAY, RESAMPLE, positions
 from postfx.report.pictures import png
 
 ROOM = Path(__file__).parent / "room" / "noisy.####.exr"
@@ -99,7 +99,7 @@ def by_kernel(kernel) -> Callable[[np.ndarray], np.ndarray]:
 
 
 WAYS = {"bilinear": bilinear, "cubic": cubic, "cubic, each channel held": by_kernel(RESAMPLE),
-        "and held to coverage": by_kernel(ENLARGE)}
+        "and held to coverage": by_kernel(ENLARGE_OVERLAY)}
 
 
 def faults(image: np.ndarray, result: np.ndarray) -> tuple[float, float, float]:

@@ -18,7 +18,7 @@ from ray_caster import render
 import postfx
 from postfx import Role, integrate
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "render_size.png")
 parser.add_argument("--time", type=float, default=400, help="milliseconds that a frame may take")
 parser.add_argument("--size", default="640x360", help="of the output")

@@ -101,7 +101,7 @@ def equivalent_samples(own: float, counts: np.ndarray, curve: np.ndarray) -> flo
     return float(np.exp(np.interp(-np.log(own), -np.log(falling), np.log(counts))))
 
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "scene_network.png")
 parser.add_argument("--models", type=Path, default=ROOM, help="folder of the networks, or of some of them")
 parser.add_argument("--noisy", default=str(ROOM / "noisy.####.exr"), help="whose planes are read")

@@ -26,7 +26,7 @@ from postfx.passes.scene_points import POINT, SceneBox
 
 ROOM = Path(__file__).parent / "room"
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("--threads", type=int, default=1)
 parser.add_argument("--runs", type=int, default=5)
 parser.add_argument("--device", default="cpu")

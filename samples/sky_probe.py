@@ -19,7 +19,7 @@ from postfx import Device
 from postfx.neural import Learner, Network
 from postfx.runtime import ArgumentTable
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
 parser.add_argument("picture", nargs="?", type=Path, default=Path(tempfile.gettempdir()) / "sky_probe.png")
 parser.add_argument("--frames", type=int, default=120)
 parser.add_argument("--steps", type=int, default=8, help="of learning in each frame")

@@ -135,7 +135,7 @@ def make_table(sources: list[Source]) -> dict[str, str]:
 
 def main() -> None:
     """Print the table, and what was found where that is asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--list", action="store_true", help="say where each thing stands")
     parser.add_argument(
         "--frame", action="store_true", help="also count what a steady frame passes"

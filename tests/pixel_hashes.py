@@ -444,7 +444,7 @@ def check(stored: Mapping[str, Any], results: Hashes, pattern: str) -> int:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("verb", choices=("write", "check"))
     parser.add_argument("file", type=Path)
     parser.add_argument("--only", default="*", metavar="PATTERN", help="cases by name, e.g. 'window-*'")

@@ -5,7 +5,7 @@ import weakref
 
 import numpy as np
 
-from postfx.caching import KEPT, LRUCache, SpareMemory, filled_array, new_array, reuse_memory
+from postfx.caching import MOST_IDLE_ARRAYS, LRUCache, SpareMemory, filled_array, new_array, reuse_memory
 
 
 class Costly:
@@ -61,7 +61,7 @@ def test_memory_serves_again_once_no_view_of_an_array_is_left():
     held = new_array((512, 512))
     assert place(held) == at and held.flags.c_contiguous and held.flags.writeable and held.dtype == np.float32
     del other
-    for _ in range(2 * KEPT):
+    for _ in range(2 * MOST_IDLE_ARRAYS):
         new_array((700, 700))
     assert [raw.nbytes for _, raw in spare._free] == [4 * 700 * 700], "what serves nothing for long is given back"
     alive = weakref.ref(spare)

@@ -122,7 +122,7 @@ def test_a_pass_that_comes_with_postfx_takes_five_files(vignette, tmp_path):
 
 def test_the_example_pass_runs_in_python(vignette, monkeypatch, capsys):
     monkeypatch.syspath_prepend(vignette)
-    point = EntryPoint("vignette", "postfx_vignette:Vignette", registry.GROUP)
+    point = EntryPoint("vignette", "postfx_vignette:Vignette", registry.ENTRY_POINT_GROUP)
     monkeypatch.setattr(registry, "_installed", lambda: {"vignette": (point,)})
     (code,) = (block for block in blocks("howto/passes.md", "python") if "pipeline.explain" in block)
     names = {}

@@ -14,7 +14,7 @@ from postfx.colour.ocio import file_transform
 from postfx.errors import CommandTimeout
 from postfx.io.profile import load_profile
 from postfx.report import capture_data
-from postfx.runs.manifest import NAME, Manifest, Output, verify
+from postfx.runs.manifest import MANIFEST_NAME, Manifest, Output, verify
 
 PACKAGE = Path(postfx.__file__).parent
 
@@ -73,7 +73,7 @@ def test_what_may_not_be_looked_at_is_an_error_that_names_it(what, tmp_path, mon
 @pytest.mark.parametrize("look", [verify, lambda path: file_transform(f"{path}/film.cube,input=ACEScct")])
 def test_what_may_not_be_read_is_an_error_that_names_it(look, tmp_path, monkeypatch):
     (tmp_path / "film.cube").write_text("LUT_3D_SIZE 2")
-    (tmp_path / NAME).write_text(Manifest({}, {"film.cube": Output("run", 1, "0" * 64, 13)}).to_json())
+    (tmp_path / MANIFEST_NAME).write_text(Manifest({}, {"film.cube": Output("run", 1, "0" * 64, 13)}).to_json())
     opened = open
 
     def refuse(path, *words, **named):

@@ -12,7 +12,7 @@ from postfx.colour.displays import parse_display
 from postfx.colour.views import find_view
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
-from postfx.look_table import SHARE, LookTable, delta_e_itp, expose_colour, measure_difference, to_itp
+from postfx.look_table import MOST_REPLACED_SHARE, LookTable, delta_e_itp, expose_colour, measure_difference, to_itp
 from postfx.passes.display import View
 from postfx.passes.tonemap import ToneMap
 from postfx.pipeline import Pipeline
@@ -77,7 +77,7 @@ def test_a_networks_table_comes_near_it_and_says_how_near(device: Device, pictur
 def test_colours_among_the_pixels_hardly_change_what_the_network_does(device: Device, picture: Frame) -> None:
     large = picture[Role.COLOUR].repeat(8, 0).repeat(8, 1)
     strange = ocio.convert(np.random.default_rng(1).random((500, 3)), "ACEScct", "Linear Rec.709 (sRGB)")
-    places = np.random.default_rng(0).permutation(large[..., 0].size)[: int(SHARE * large[..., 0].size)]
+    places = np.random.default_rng(0).permutation(large[..., 0].size)[: int(MOST_REPLACED_SHARE * large[..., 0].size)]
     mixed = large.reshape(-1, 3).copy()
     mixed[places] = np.resize(strange, (len(places), 3))
     alone, beside = (Pipeline([ToneMap()], device, exposure=0.0)(Frame({Role.COLOUR: colour}))[Role.COLOUR]

@@ -76,7 +76,7 @@ def error(network: Network, parameters: np.ndarray, frames: list[Frame]) -> floa
 
 def main(words: list[str] | None = None) -> None:
     """Train, tell the error and write the model."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("reference", help="pattern of the sequence, such as room.####.exr")
     parser.add_argument("model", type=Path, help="ONNX file to write")
     parser.add_argument("--steps", type=int, default=1000)

@@ -27,7 +27,7 @@ from torch.export import Dim
 from torch.nn import functional as F
 
 from postfx import Device
-from postfx.kernels.occlusion import FAR, HORIZONS, SMOOTH, SURFACE
+from postfx.kernels.occlusion import FAR, FIND_SURFACE, HORIZONS, SMOOTH_OCCLUSION
 from postfx.runtime import ArgumentTable
 from training.export import export
 
@@ -57,8 +57,8 @@ def classical(device: Device, view: dict[str, np.ndarray], k: int) -> tuple[np.n
             "surface": new("surface", (height, width, 4)), "raw": new("raw", (height, width)),
             "smooth": new("smooth", (height, width))}
     commands = device.command_buffer("occlusion")
-    for kernel, renamed in ((SURFACE, {}), (HORIZONS, {"visible": "raw"}),
-                            (SMOOTH, {"noisy": "raw", "visible": "smooth"})):
+    for kernel, renamed in ((FIND_SURFACE, {}), (HORIZONS, {"visible": "raw"}),
+                            (SMOOTH_OCCLUSION, {"noisy": "raw", "visible": "smooth"})):
         state = device.compute_state(kernel)
         with commands.compute_encoder(kernel.name) as encoder:
             encoder.barrier(after="compute", before="compute")

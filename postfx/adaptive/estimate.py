@@ -36,27 +36,29 @@ from postfx.io.channels import ChannelIndex, read_channels
 from postfx.io.image_file import ImageFile
 from postfx.sampling import local_mean
 
-PLANE = "error"
+ERROR_LAYER = "error"
 """Layer of the predicted error in files."""
-RADIUS = 8
+AVERAGED_RADIUS_PX = 8
 """Of the squares that differences are averaged over, in pixels."""
-SHARE, BEFORE_POWER, AFTER_POWER = 0.66, 0.714, 0.287
-LEAST = 1e-7
+ERROR_SHARE = 0.66
+BEFORE_POWER = 0.714
+AFTER_POWER = 0.287
+FLAT_MEAN_SQUARE = 1e-7
 """Mean square of differences that counts as flat."""
-STEP = 1e-3
+SLOPE_STEP = 1e-3
 """Share of 1 + light over which the slope of the display curve is taken."""
-MOST_NOISE = 0.5
+MOST_NOISE_CODES = 0.5
 """Code values that noise counts for at most: a single firefly would say more than all other pixels of a tile."""
 CHANGE_SHARE = 1.6
 CHANGE_POWER = 0.3
-FLOOR = 0.5
+LEAST_ERROR_RATIO = 0.5
 """Ratio of the error to the variance of denoised halves below which none falls: noise may leave less than nothing."""
 
 
 def read_error(path: Path) -> np.ndarray | None:
     """The plane `error` of a file (height, width), the mean of its channels; None where it has none."""
     with ImageFile(path) as file:
-        channels = ChannelIndex({"": file.parts}).matching(PLANE)
+        channels = ChannelIndex({"": file.parts}).matching(ERROR_LAYER)
         if not channels:
             return None
         pixels = read_channels({"": file}, dict.fromkeys(channels, 0.0))
@@ -74,7 +76,7 @@ def estimate_error(noisy: Frame, denoised: np.ndarray, exposure_factor: float) -
         raise FrameError(f"{noisy.source or noisy.number}: is {colour.shape[1]}x{colour.shape[0]}, its denoised frame "
                          f"{denoised.shape[1]}x{denoised.shape[0]}: denoise it at the render's size")
     before, after = (_busyness(to_codes(light, exposure_factor)) for light in (colour, denoised))
-    found = SHARE * before**BEFORE_POWER * after**AFTER_POWER
+    found = ERROR_SHARE * before**BEFORE_POWER * after**AFTER_POWER
     error: np.ndarray = found[:, :, 0].astype(np.float32)
     return error
 
@@ -101,7 +103,7 @@ def estimate_from_halves(
                          "denoise them at the render's size")
     half = error_of_half(halves, (denoised[0], denoised[1]), exposure_factor, side)
     codes, codes_other, codes_whole = (to_codes(colour, exposure_factor) for colour in denoised)
-    change = tile_means(np.square((codes + codes_other) / 2 - codes_whole), side) + LEAST
+    change = tile_means(np.square((codes + codes_other) / 2 - codes_whole), side) + FLAT_MEAN_SQUARE
     found = np.float32(CHANGE_SHARE * half ** (1 - CHANGE_POWER) * change**CHANGE_POWER)
     height, width = halves[0].shape[:2]
     return np.ascontiguousarray(found.repeat(side, axis=0).repeat(side, axis=1)[:height, :width])
@@ -115,14 +117,15 @@ def error_of_half(
                                       for colour in (*halves, *denoised))
     middle = (clean + clean_other) / 2
     light = np.maximum(middle, 0)
-    step = STEP * (1 + light)
+    step = SLOPE_STEP * (1 + light)
     slope = (to_codes(light + step, 1.0) - to_codes(light, 1.0)) / step
     apart = slope * (clean - middle)
-    noise, noise_other = (np.clip(slope * (half - middle), -MOST_NOISE, MOST_NOISE) for half in (one, other))
+    noise, noise_other = (np.clip(slope * (half - middle), -MOST_NOISE_CODES, MOST_NOISE_CODES)
+                          for half in (one, other))
     error = tile_means(apart**2 + apart * (noise - noise_other) + noise * noise_other, side)
     varies = tile_means(np.square(to_codes(clean, 1.0) - to_codes(clean_other, 1.0)) / 2, side)
-    varies = np.maximum(varies, LEAST)
-    found: np.ndarray = varies * np.maximum(_around(error) / _around(varies), FLOOR)
+    varies = np.maximum(varies, FLAT_MEAN_SQUARE)
+    found: np.ndarray = varies * np.maximum(_around(error) / _around(varies), LEAST_ERROR_RATIO)
     return found
 
 
@@ -141,5 +144,5 @@ def _busyness(codes: np.ndarray) -> np.ndarray:
     padded = np.pad(codes, ((1, 1), (1, 1), (0, 0)), mode="edge")
     rows = padded[:-2] - 2 * padded[1:-1] + padded[2:]
     found = np.square(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:]) / 36
-    mean: np.ndarray = np.maximum(local_mean(found.mean(axis=2, keepdims=True), RADIUS), LEAST)
+    mean: np.ndarray = np.maximum(local_mean(found.mean(axis=2, keepdims=True), AVERAGED_RADIUS_PX), FLAT_MEAN_SQUARE)
     return mean

@@ -20,11 +20,11 @@ from postfx.errors import OptionError
 
 SLOPE = 0.5
 """By which power of its samples the squared error of a denoised tile falls, see docs/howto/render_more.md."""
-MOST = 8
+MOST_SAMPLES_FACTOR = 8
 """How many times its samples a tile gets at most in one round: predictions further on say little."""
-FEWEST = 4
+FEWEST_SAMPLES = 4
 """Samples below which a render of a tile does not pay."""
-QUALITIES = {"draft": 30.0, "visible": 36.0, "fine": 42.0}
+QUALITY_DECIBELS = {"draft": 30.0, "visible": 36.0, "fine": 42.0}
 """Word -> PSNR of the displayed picture in dB, which each tile is to reach."""
 FLIP_POWER = 0.4
 """By which power of squared errors FLIP goes, over tiles and with more samples: see docs/lab/render_more.md."""
@@ -57,8 +57,8 @@ def psnr(error: float) -> float:
 def parse_quality(text: str) -> Quality:
     """Quality of 'visible', '38dB' or 'flip=0.05'. Raises OptionError for anything else."""
     found = re.fullmatch(r"(?:(\d+(?:\.\d+)?) ?db|flip=(0?\.\d+))", text.lower())
-    if text.lower() in QUALITIES:
-        level = QUALITIES[text.lower()]
+    if text.lower() in QUALITY_DECIBELS:
+        level = QUALITY_DECIBELS[text.lower()]
     elif found and found[1] and 10 <= float(found[1]) <= 80:
         level = float(found[1])
     elif found and found[2] and float(found[2]) > 0:
@@ -66,7 +66,8 @@ def parse_quality(text: str) -> Quality:
         slope = (max(FLIP_AT) - min(FLIP_AT)) / (places[0] - places[-1])
         level = float(max(FLIP_AT) + slope * (np.log(float(found[2])) - places[0]))
     else:
-        raise OptionError(f"--quality {text}: give {', '.join(QUALITIES)}, a PSNR like 38dB, or a FLIP like flip=0.05")
+        raise OptionError(f"--quality {text}: give {', '.join(QUALITY_DECIBELS)}, a PSNR like 38dB, or a FLIP like "
+                          "flip=0.05")
     return Quality(text.lower(), 10 ** (-level / 10), FLIP_POWER if text.lower().startswith("flip") else 1.0)
 
 
@@ -104,9 +105,9 @@ class Tiles:
         return np.asarray(self.errors * (self.samples / (self.samples + more)) ** SLOPE)
 
     def needed(self, error: float) -> np.ndarray:
-        """More samples until each tile has this error, at most `MOST` times as many as it has."""
+        """More samples until each tile has this error, at most `MOST_SAMPLES_FACTOR` times as many as it has."""
         factor = (np.maximum(self.errors, 0) / error) ** (1 / SLOPE) - 1
-        return np.asarray(np.where(self.counted > 0, np.clip(factor, 0, MOST) * self.samples, 0))
+        return np.asarray(np.where(self.counted > 0, np.clip(factor, 0, MOST_SAMPLES_FACTOR) * self.samples, 0))
 
 
 def make_tiles(number: int, error: np.ndarray, samples: np.ndarray | float, strength: np.ndarray | None, side: int,
@@ -157,10 +158,11 @@ def plan_samples(shot: Sequence[Tiles], quality: Quality, budget: float | None =
 
 
 def in_steps(more: np.ndarray, up: bool) -> np.ndarray:
-    """Numbers of samples as powers of two, the next one up or down; fewer than `FEWEST` are that many or none."""
+    """Numbers of samples as powers of two, the next one up or down; fewer than `FEWEST_SAMPLES` are that many or
+    none."""
     exponents = np.log2(np.maximum(more, 1e-9))
     steps = 2.0 ** (np.ceil(exponents - 1e-9) if up else np.floor(exponents + 1e-9))
-    return np.where(more < (FEWEST / 2 if up else FEWEST), 0, np.maximum(steps, FEWEST))
+    return np.where(more < (FEWEST_SAMPLES / 2 if up else FEWEST_SAMPLES), 0, np.maximum(steps, FEWEST_SAMPLES))
 
 
 @dataclass(frozen=True)

@@ -107,9 +107,9 @@ class HostKernels:
         return self.run(RESAMPLE, reads, (height, width, image.shape[2]))
 
 
-LONGEST = 10
+LONGEST_AVERAGE_FRAMES = 10
 """Frames that are averaged, at most, as in postfx/kernels/accumulate.cpp."""
-ACCUMULATE = Kernel(
+ACCUMULATE_FRAMES = Kernel(
     "accumulate", ("current", "history", "motion", "depth", "normal", "past_depth", "past_normal"), ("output",),
     Rows("accumulate_past"), ("output", 0),
     {"current": ("height", "width", 3), "history": ("height", "width", 4), "motion": ("h", "w", 2),
@@ -141,7 +141,7 @@ class Accumulator:
             history, past = np.zeros((height, width, 4), np.float32), now
         reads = {"current": current, "history": history, "motion": frame[Role.MOTION], **now,
                  **{f"past_{name}": plane for name, plane in past.items()}}
-        self._history, self._past = self._kernels.run(ACCUMULATE, reads, (height, width, 4)), now
+        self._history, self._past = self._kernels.run(ACCUMULATE_FRAMES, reads, (height, width, 4)), now
         return np.ascontiguousarray(self._history[..., :3])
 
 

@@ -26,7 +26,7 @@ from postfx.runtime import Device, Library
 from postfx.streams import styled
 from postfx.version import __version__
 
-LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"), ("matplotlib", "matplotlib"))
+MEASURING_LIBRARIES = (("flip_evaluator", "flip-evaluator"), ("skimage", "scikit-image"), ("matplotlib", "matplotlib"))
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Bench:
     """
 
     def __init__(self, sources: Sources, wish: Request) -> None:
-        for module, package in LIBRARIES:
+        for module, package in MEASURING_LIBRARIES:
             require(module, package, "measures or draws")
         self.material = Material(sources)
         device = Device(wish.device, wish.threads)

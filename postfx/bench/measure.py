@@ -28,7 +28,8 @@ from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import write_frame
 from postfx.runtime import Device
 
-LEAST, MOST = 1.0, 3.0
+LEAST_RUN_SECONDS = 1.0
+MOST_RUN_SECONDS = 3.0
 
 
 @dataclass(frozen=True)
@@ -109,11 +110,11 @@ def _one_spec(sequence: Sequence, numbers: list[int] | tuple[int, ...]) -> Frame
 def _scale(spec: FrameSpec, target: FrameSpec, references: Sequence) -> float:
     """The scale that turns one size into the other, as the denoiser rounds sizes."""
     sides = ((target.width, spec.width), (target.height, spec.height))
-    low = max(LEAST, *((out - 0.5) / side for out, side in sides))
-    high = min(MOST, *((out + 0.5) / side for out, side in sides))
+    low = max(LEAST_RUN_SECONDS, *((out - 0.5) / side for out, side in sides))
+    high = min(MOST_RUN_SECONDS, *((out + 0.5) / side for out, side in sides))
     for scale in (target.width / spec.width, target.height / spec.height, (low + high) / 2):
         fits = [round(side * scale) == out for out, side in sides]
-        if LEAST <= scale <= MOST and all(fits):
+        if LEAST_RUN_SECONDS <= scale <= MOST_RUN_SECONDS and all(fits):
             return scale
     raise BenchError(
         f"{references.pattern}: references are {target.width}x{target.height}, frames {spec.width}x{spec.height}: "

@@ -19,7 +19,7 @@ from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from postfx.temporal.reverse_order import Backwards, RunUp
 
-GUIDES = "guides"
+GUIDES_METHOD = "guides"
 PRECISIONS = {"fp32": ("cpu", "cuda"), "int8": ("cpu",), "fp16": ("cuda",)}
 """Precision -> devices that it is made for."""
 FAMILIES = {"ours": "this project's networks", "oidn": "Open Image Denoise", "plain": "no denoiser"}
@@ -135,9 +135,9 @@ def select(found: Catalogue, names: str | None, models: str | None) -> Catalogue
 def _of_model(name: str, motion: bool) -> list[Method]:
     """A network with its history and, where frames have motion, without, with a run-up, and in both directions."""
     parts = name.split(".")
-    guides, kept = GUIDES in parts, [part for part in parts if part != GUIDES]
+    guides, kept = GUIDES_METHOD in parts, [part for part in parts if part != GUIDES_METHOD]
     precision = next((part for part in kept if part in PRECISIONS), "fp32")
-    words = [*kept, *([GUIDES] if guides else [])]
+    words = [*kept, *([GUIDES_METHOD] if guides else [])]
     plain = Method("-".join(words), " ".join([kept[0], precision, *words[len(kept) :]]), "ours",
                    ".".join(kept), precision, guides)
     alone = replace(plain, name=f"{plain.name}-alone", title=f"{plain.title}, no history", alone=True)
@@ -169,7 +169,7 @@ def _absent(names: list[str], guides: bool) -> list[Omission]:
     """Precisions that networks lack and, for frames with guides, networks that do not read guides."""
     tags = dict.fromkeys(name.split(".")[0] for name in names)
     wanted = [(tag, precision) for tag in tags for precision in PRECISIONS if precision != "fp32"]
-    wanted += [(tag, GUIDES) for tag in tags if guides]
+    wanted += [(tag, GUIDES_METHOD) for tag in tags if guides]
     return [Omission(f"{tag} {word}", f"there is no model {PASS}.{tag}.{word}")
             for tag, word in wanted if f"{tag}.{word}" not in names]
 

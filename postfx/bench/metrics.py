@@ -14,20 +14,20 @@ import numpy as np
 from skimage.metrics import structural_similarity
 
 from postfx.colour.views import to_codes
+from postfx.exposure import KEY
 from postfx.frame import Frame, Role
 from postfx.sampling import bilinear, motion_at
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-KEY = 0.18
+LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722])
 TRIMMED = 0.999
-FOLLOWED = 0.1
+FOLLOWED_DIFFERENCE = 0.1
 FIGURES = ("psnr", "ssim", "flip", "relmse", "flicker")
 """Names of the figures. More is better for psnr (dB) and ssim (up to 1), less for flip (0..1), relmse and flicker."""
 
 
 def grey_factor(colour: np.ndarray) -> float:
     """Multiplier that brings the log-average luminance to 0.18 (Reinhard 2002, with a floor of 0.1 % of the mean)."""
-    luminance = colour @ LUMINANCE
+    luminance = colour @ LUMINANCE_WEIGHTS
     return float(KEY / np.exp(np.mean(np.log(luminance + 1e-3 * luminance.mean()))))
 
 
@@ -80,7 +80,7 @@ def flicker(before: Pictures, now: Pictures, motion: np.ndarray) -> float | None
     Counts pixels where the motion explains the reference (within 0.1); None if there are none.
     """
     result, reference = warp(before.result, motion), warp(before.reference, motion)
-    followed = np.abs(reference - now.reference).max(-1) < FOLLOWED
+    followed = np.abs(reference - now.reference).max(-1) < FOLLOWED_DIFFERENCE
     if not followed.any():
         return None
     return float(1000 * np.abs((now.result - result) - (now.reference - reference)).mean(-1)[followed].mean())

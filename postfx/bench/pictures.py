@@ -22,8 +22,9 @@ from postfx.colour.views import to_codes
 from postfx.files import atomic_file
 from postfx.frame import Role
 
-COUNT, SIDE = 3, 96
-SHARE = 0.35
+CROP_COUNT = 3
+CROP_SIDE_PX = 96
+LONGEST_CROP_SHARE = 0.35
 """Longest side of a crop, as a part of the picture's shorter side."""
 
 
@@ -42,7 +43,7 @@ def draw_crops(material: Material, rows: list[dict[str, Any]], path: Path) -> No
     """
     columns = _columns(material, rows, material.noisy.numbers[-1])
     one, other = _choose_pair(columns)
-    places = pick(np.abs(one - other).mean(-1), COUNT)
+    places = pick(np.abs(one - other).mean(-1), CROP_COUNT)
     _draw(columns, places, f"frame {material.noisy.numbers[-1]}", "where methods differ most", path)
 
 
@@ -64,7 +65,7 @@ def draw_worst(material: Material, rows: list[dict[str, Any]], path: Path) -> No
     number = material.noisy.numbers[int(np.argmin(gaps))]
     columns = _columns(material, wanted, number)
     errors = {column.title: np.square(column.picture - columns[-1].picture).mean(-1) for column in columns}
-    places = pick_deficits(errors[ours["title"]], [errors[row["title"]] for row in theirs], COUNT)
+    places = pick_deficits(errors[ours["title"]], [errors[row["title"]] for row in theirs], CROP_COUNT)
     if places:
         _draw(columns, places, f"frame {number}", f"where {ours['title']} is behind OIDN most", path)
 
@@ -126,7 +127,7 @@ def _draw(columns: list[Column], places: list[tuple[int, int]], frame: str, why:
 
 
 def _side(shape: tuple[int, ...]) -> int:
-    return max(1, min(SIDE, round(SHARE * min(shape[:2]))))
+    return max(1, min(CROP_SIDE_PX, round(LONGEST_CROP_SHARE * min(shape[:2]))))
 
 
 def _columns(material: Material, rows: list[dict[str, Any]], number: int) -> list[Column]:
@@ -166,12 +167,13 @@ def _repeat(image: np.ndarray, height: int, width: int) -> np.ndarray:
     return repeated
 
 
-COLOURS = {"ours": "#0b62b8", "oidn": "#c8500a", "plain": "#666666"}
+METHOD_COLOURS = {"ours": "#0b62b8", "oidn": "#c8500a", "plain": "#666666"}
 LABELS = {"psnr_late": "PSNR, dB (up is better)", "flicker_late": "flicker, x1000 (down is better)"}
 SPOTS = [(8, 5), (8, -13), (-8, 5), (-8, -13), (0, 10), (0, -18), (14, -4), (-14, -4), (10, 18), (10, -26), (-10, 18),
          (-10, -26), (0, 26), (0, -34), (24, 30), (24, -38)]
-"""Places for a label, in points from its dot; the first free one is used, with a line to the dot unless NEAR."""
-NEAR = 8
+"""Places for a label, in points from its dot; the first free one is used, with a line to the dot unless
+it is one of the first `NEAR_SPOTS`."""
+NEAR_SPOTS = 8
 Point = tuple[float, float, dict[str, Any]]
 """Position of a method's dot, and its row."""
 
@@ -230,7 +232,7 @@ def _draw_front(axes: Axes, points: list[Point], names: list[str], figure: str) 
 
 
 def _dot(axes: Axes, x: float, y: float, row: dict[str, Any], figure: str) -> None:
-    value, colour = row["scores"][figure], COLOURS[row["family"]]
+    value, colour = row["scores"][figure], METHOD_COLOURS[row["family"]]
     marker = "v" if value < y else "^" if value > y else "D" if row["guides"] else "o"
     axes.plot([x], [y], marker, markersize=8, color=colour, markerfacecolor="white" if row["alone"] else colour,
               markerfacecoloralt="white", fillstyle=_fill(row), markeredgewidth=1.8, zorder=3)
@@ -256,15 +258,15 @@ def _dress(axes: Axes, facts: dict[str, Any], rows: list[dict[str, Any]], figure
     axes.grid(True, which="major", color="#dddddd", linewidth=0.8)
     axes.set_axisbelow(True)
     for family in dict.fromkeys(row["family"] for row in rows):
-        axes.plot([], [], "o", color=COLOURS[family], label=FAMILIES[family])
+        axes.plot([], [], "o", color=METHOD_COLOURS[family], label=FAMILIES[family])
     if any(row["alone"] for row in rows):
-        axes.plot([], [], "o", color=COLOURS["ours"], markerfacecolor="white", label="history reset every frame")
+        axes.plot([], [], "o", color=METHOD_COLOURS["ours"], markerfacecolor="white", label="history reset every frame")
     for kind, label in (("run_up", "with a run-up"), ("both", "both ways")):
         if shown := next((row for row in rows if row[kind]), None):
-            axes.plot([], [], "o", color=COLOURS["ours"], markerfacecoloralt="white", fillstyle=_fill(shown),
+            axes.plot([], [], "o", color=METHOD_COLOURS["ours"], markerfacecoloralt="white", fillstyle=_fill(shown),
                       label=label)
     if any(row["guides"] for row in rows):
-        axes.plot([], [], "D", color=COLOURS["ours"], label="with guides at output size")
+        axes.plot([], [], "D", color=METHOD_COLOURS["ours"], label="with guides at output size")
     axes.figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
 
 
@@ -276,7 +278,7 @@ def _label(axes: Axes, points: list[Point], figure: str, renderer: RendererAgg) 
     for x, y, row in points:
         value, text = row["scores"][figure], _name(row)
         text += f" {value:.3g}" if value != y else ""
-        taken.append(_place(axes, renderer, (x, y), text, COLOURS[row["family"]], taken, frame))
+        taken.append(_place(axes, renderer, (x, y), text, METHOD_COLOURS[row["family"]], taken, frame))
 
 
 def _name(row: dict[str, Any]) -> str:
@@ -306,7 +308,7 @@ def _place(
     _, index, box = min(found, key=lambda item: item[:2])
     _stand(label, *SPOTS[index])
     assert label.arrow_patch is not None  # made with arrowprops
-    label.arrow_patch.set_visible(index >= NEAR)
+    label.arrow_patch.set_visible(index >= NEAR_SPOTS)
     return box
 
 

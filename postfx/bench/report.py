@@ -11,9 +11,9 @@ from postfx.files import atomic_file, make_printable
 from postfx.streams import styled
 
 HIGHER_IS_BETTER = ("psnr", "ssim")
-COMPARED = ("psnr_late", "ssim_late", "flip_late", "flicker_late")
+COMPARED_FIGURES = ("psnr_late", "ssim_late", "flip_late", "flicker_late")
 TIMES = ("wall_ms", "wall_ms_min", "wall_ms_max", "cpu_s", "gpu_ms", "first_ms", "peak_mb")
-FACTS = ("name", "title", "family", "model", "precision", "guides", "alone", "run_up", "both", "without")
+ROW_FACTS = ("name", "title", "family", "model", "precision", "guides", "alone", "run_up", "both", "without")
 
 
 def is_better(figure: str, one: float, other: float) -> bool:
@@ -44,7 +44,7 @@ def compare(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     found = []
     for row in [row for row in rows if row["family"] == "ours"] if others else []:
         entry: dict[str, Any] = {"name": row["name"]}
-        for figure in COMPARED:
+        for figure in COMPARED_FIGURES:
             entry[figure] = _against(row["scores"][figure], figure, others)
         if oidn:
             pairs = zip(row["frames"], oidn["frames"], strict=True)
@@ -64,7 +64,7 @@ def ablations(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for row in rows:
         whole = next((other for other in choices(rows) if row["without"] and _is_same_network(row, other)), None)
         if whole:
-            against = {figure: _against(row["scores"][figure], figure, [whole]) for figure in COMPARED}
+            against = {figure: _against(row["scores"][figure], figure, [whole]) for figure in COMPARED_FIGURES}
             found.append({"name": row["name"], "of": whole["name"], **against})
     return found
 
@@ -78,10 +78,10 @@ def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     figures = list(rows[0]["scores"])
     with atomic_file(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([*FACTS, *TIMES, *figures])
+        writer.writerow([*ROW_FACTS, *TIMES, *figures])
         for row in rows:
             facts = {**row, "without": " ".join(row["without"])}
-            writer.writerow([*(facts[key] for key in FACTS), *(row["time"][key] for key in TIMES),
+            writer.writerow([*(facts[key] for key in ROW_FACTS), *(row["time"][key] for key in TIMES),
                              *(row["scores"][key] for key in figures)])
 
 

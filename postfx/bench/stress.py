@@ -17,7 +17,7 @@ from postfx.pipeline import Pipeline
 from postfx.runtime import Device, Library
 
 Change = Callable[[Frame], Frame]
-BRIGHTEST = 4e4
+BRIGHTEST_OUTPUT = 4e4
 """Bound of the denoiser's exposed output: the denoiser limits light to 1e4 times reflectance (below 2), filters do not
 exceed that, and sharpening at most doubles it."""
 
@@ -46,7 +46,7 @@ def _fireflies(colour: np.ndarray) -> np.ndarray:
 
 
 _MISSES = dict(depth=1e10, normal=0, diffuse_albedo=0, specular_albedo=0, roughness=0, motion=0)
-LIGHTS: dict[str, Change] = {
+LIGHT_CHANGES: dict[str, Change] = {
     f"{ev:+d} EV": set_planes(colour=partial(_expose, ev)) for ev in (-40, -20, 20, 40)
 } | {
     "black": set_planes(colour=0), "denormal": set_planes(colour=1e-42), "constant": set_planes(colour=0.5),
@@ -55,7 +55,7 @@ LIGHTS: dict[str, Change] = {
     "NaN": set_planes(colour=np.nan), "infinite": set_planes(colour=np.inf),
     "minus infinite": set_planes(colour=-np.inf), "fireflies": set_planes(colour=_fireflies),
 }
-HARD: dict[str, Change] = LIGHTS | {
+HARD: dict[str, Change] = LIGHT_CHANGES | {
     "normals 0": set_planes(normal=0), "normals NaN": set_planes(normal=np.nan),
     "albedos 0": set_planes(diffuse_albedo=0, specular_albedo=0),
     "albedos broken": set_planes(diffuse_albedo=np.nan, specular_albedo=np.inf),
@@ -69,13 +69,13 @@ HARD: dict[str, Change] = LIGHTS | {
     "misses": set_planes(**_MISSES), "black misses": set_planes(colour=0, **_MISSES),
     "everything NaN": set_planes(**dict.fromkeys(map(str, Role), np.nan)),
 }
-"""Name -> change of a frame; LIGHTS change its colour alone."""
+"""Name -> change of a frame; LIGHT_CHANGES change its colour alone."""
 
 
 @dataclass(frozen=True)
 class Outcome:
     """The result on a hard input: the largest exposed light, NaN if any is NaN. It is well if exposed light is finite
-    and in [0, BRIGHTEST], and tone-mapped light in [0, 1]."""
+    and in [0, BRIGHTEST_OUTPUT], and tone-mapped light in [0, 1]."""
 
     model: str
     case: str
@@ -98,7 +98,8 @@ def stress(frames: Sequence[Frame], device: Device, models: Sequence[str] | None
             shown = [show(Frame({Role.COLOUR: colour}))[Role.COLOUR] for colour, _ in results]
             highest = float(np.max([colour.max() * factor for colour, factor in results]))
             lowest = float(np.min([colour.min() for colour, _ in results]))
-            well = 0 <= lowest and highest <= BRIGHTEST and all(0 <= one.min() and one.max() <= 1 for one in shown)
+            well = (0 <= lowest and highest <= BRIGHTEST_OUTPUT
+                    and all(0 <= one.min() and one.max() <= 1 for one in shown))
             yield Outcome(model, case, highest, bool(well))
 
 

@@ -19,7 +19,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from postfx.cli.options import CHUNK, parse_path, parse_positive
+from postfx.cli.options import CHUNK_FRAMES, parse_path, parse_positive
 from postfx.version import pip_install
 
 if TYPE_CHECKING:
@@ -55,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="OUTPUT", default="out/", type=parse_path,
                         help="files to write: a pattern or a folder (default: out/)")
     parser.add_argument("--frames", metavar="RANGE", help="frames to process, e.g. 1-100 or 1-100x2 (default: all)")
-    parser.add_argument("--size", metavar="N", type=parse_positive, default=CHUNK,
-                        help=f"frames of a chunk (default: {CHUNK})")
+    parser.add_argument("--size", metavar="N", type=parse_positive, default=CHUNK_FRAMES,
+                        help=f"frames of a chunk (default: {CHUNK_FRAMES})")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--openjd", metavar="FILE", type=parse_path,
                         help="also write the job as an Open Job Description template, as JSON")
@@ -181,8 +181,9 @@ def _lines(facts: dict[str, Any]) -> list[str]:
     return [*lines, f"{join(facts['verify'])}  # after all of them", *(f"# {note}" for note in facts["notes"])]
 
 
-FRAMES, FOLDER = "Frames", "Folder"
-"""Names of the task's and of the job's parameter of an Open Job Description."""
+# Names of the task's and of the job's parameter of an Open Job Description.
+FRAMES_PARAMETER = "Frames"
+FOLDER_PARAMETER = "Folder"
 
 
 def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str], verify: Words[str]) -> dict[str, Any]:
@@ -200,19 +201,20 @@ def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str], ve
 
     numbers = [number for chunk in chunks for number in chunk.frames]
     is_contiguous = numbers == list(range(numbers[0], numbers[-1] + 1))
-    parameter = {"name": FRAMES, "type": "CHUNK[INT]", "range": f"{numbers[0]}-{numbers[-1]}",
+    parameter = {"name": FRAMES_PARAMETER, "type": "CHUNK[INT]", "range": f"{numbers[0]}-{numbers[-1]}",
                  "chunks": {"defaultTaskCount": size, "rangeConstraint": "CONTIGUOUS"}}
     if not is_contiguous:
-        parameter = {"name": FRAMES, "type": "STRING", "range": [format_frames(chunk.frames) for chunk in chunks]}
+        parameter = {"name": FRAMES_PARAMETER, "type": "STRING",
+                     "range": [format_frames(chunk.frames) for chunk in chunks]}
     return {
         "specificationVersion": "jobtemplate-2023-09",
         **({"extensions": ["TASK_CHUNKING"]} if is_contiguous else {}),
         "name": name,
-        "parameterDefinitions": [{"name": FOLDER, "type": "PATH", "objectType": "DIRECTORY", "dataFlow": "INOUT",
-                                  "default": "."}],
+        "parameterDefinitions": [{"name": FOLDER_PARAMETER, "type": "PATH", "objectType": "DIRECTORY",
+                                  "dataFlow": "INOUT", "default": "."}],
         "steps": [
             {"name": "Process", "parameterSpace": {"taskParameterDefinitions": [parameter]},
-             "script": _script([*run, f"--frames={{{{Task.Param.{FRAMES}}}}}"])},
+             "script": _script([*run, f"--frames={{{{Task.Param.{FRAMES_PARAMETER}}}}}"])},
             {"name": "Verify", "dependencies": [{"dependsOn": "Process"}], "script": _script(verify)},
         ],
     }
@@ -220,7 +222,7 @@ def describe_job(name: str, chunks: Words[Chunk], size: int, run: Words[str], ve
 
 def _script(words: Words[str]) -> dict[str, Any]:
     """A script that runs a command in the job's folder: schedulers start each in a folder of its own."""
-    args = ["-c", 'cd "$0" && exec "$@"', f"{{{{Param.{FOLDER}}}}}", *words]
+    args = ["-c", 'cd "$0" && exec "$@"', f"{{{{Param.{FOLDER_PARAMETER}}}}}", *words]
     return {"actions": {"onRun": {"command": "sh", "args": args}}}
 
 
@@ -228,9 +230,9 @@ def _script(words: Words[str]) -> dict[str, Any]:
 
 RESTARTS = 3
 """How often a chunk goes to another machine because its own one died; a chunk may also be what kills them."""
-REACH = 5.0
+RAY_TIMEOUT_SECONDS = 5.0
 """Seconds to wait for Ray's port. Without looking there first, Ray itself tries for a minute and ends the process."""
-PAUSE = 2.0
+CLAIM_PAUSE_SECONDS = 2.0
 """Seconds between two tries to take over files that another run has claimed."""
 
 
@@ -247,7 +249,7 @@ class ChunkActor:
         from postfx.cli.job import Job
         from postfx.cli.main import make_parser, read_and_write_by
         from postfx.errors import FarmError, RunError
-        from postfx.runs.locks import BEAT, SILENT
+        from postfx.runs.locks import BEAT, SILENT_SECONDS
         from postfx.version import __version__
 
         machine = socket.gethostname()
@@ -260,7 +262,7 @@ class ChunkActor:
         given = make_parser(["run"]).parse_args(command[1:])
         given.ray = None
         read_and_write_by(given.threads)
-        end = time.monotonic() + SILENT + BEAT
+        end = time.monotonic() + SILENT_SECONDS + BEAT
         while True:
             job = Job(given)
             try:
@@ -269,7 +271,7 @@ class ChunkActor:
             except RunError:
                 if time.monotonic() > end:
                     raise
-                time.sleep(PAUSE)
+                time.sleep(CLAIM_PAUSE_SECONDS)
         report = job.report()
         faults = [f"frame {fault.frame}, {fault.instead}: {fault.why}" for fault in report.faults]
         return machine, list(report.warnings), faults
@@ -315,7 +317,7 @@ def _connect(address: str) -> Any:
     host, _, port = address.removeprefix("ray://").rpartition(":")
     try:
         if port.isdigit():
-            socket.create_connection((host, int(port)), REACH).close()
+            socket.create_connection((host, int(port)), RAY_TIMEOUT_SECONDS).close()
         ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
     except Exception as error:  # of many kinds, by Ray's version and the address
         raise FarmError(f"--ray {address}: cannot be reached: {_first_line(error)}: {remedy}") from None

@@ -37,7 +37,9 @@ examples:
   POSTFX_CONFIG=/studio/postfx.toml postfx run shot/ -o out/
   POSTFX_CONFIG= postfx run shot/ -o out/
 """
-NAME, TABLE, VARIABLE = "postfx.toml", "run", "POSTFX_CONFIG"
+DEFAULTS_FILE = "postfx.toml"
+RUN_TABLE = "run"
+DEFAULTS_VARIABLE = "POSTFX_CONFIG"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,8 +64,9 @@ def execute(arguments: argparse.Namespace) -> int:
     lines += [f"default  {default.option.flag} {default.text_shown}    from {default.path}"
               for default in found.values()]
     if not lines:
-        places = [] if VARIABLE in os.environ else [Path.cwd() / NAME, *_own_places()[::-1]]
-        lines = [f"no {NAME}; it may be {' or '.join(map(str, places))}" if places else f"{VARIABLE} asks for no file"]
+        places = [] if DEFAULTS_VARIABLE in os.environ else [Path.cwd() / DEFAULTS_FILE, *_own_places()[::-1]]
+        lines = [f"no {DEFAULTS_FILE}; it may be {' or '.join(map(str, places))}" if places
+                 else f"{DEFAULTS_VARIABLE} asks for no file"]
     lines += [f"preset   {name}: {' '.join(_words(RUN, values))}" for name, values in PRESETS.items()]
     print("\n".join(lines))
     return 0
@@ -117,14 +120,16 @@ def find_files() -> list[Path]:
     """Files of defaults that exist, the weakest first. OptionError if POSTFX_CONFIG names one that is not."""
     from pathlib import Path
 
-    named = os.environ.get(VARIABLE)
+    named = os.environ.get(DEFAULTS_VARIABLE)
     if named is not None:
         path = Path(os.path.expanduser(named))
         if named and not os.path.isfile(path):
-            raise OptionError(f"{path}: {VARIABLE} names this file, which is not there: correct or unset the variable")
+            raise OptionError(f"{path}: {DEFAULTS_VARIABLE} names this file, which is not there: correct or unset the "
+                              "variable")
         return [path] if named else []
     here = Path.cwd()
-    near = next((folder / NAME for folder in (here, *here.parents) if (folder / NAME).is_file()), None)
+    near = next((folder / DEFAULTS_FILE for folder in (here, *here.parents) if (folder / DEFAULTS_FILE).is_file()),
+                None)
     return [path for path in (*_own_places(), near) if path and path.is_file()]
 
 
@@ -132,7 +137,8 @@ def _own_places() -> list[Path]:
     """Where the machine's file and the user's may be."""
     from platformdirs import site_config_path, user_config_path  # most commands can do without
 
-    return [site_config_path("postfx", appauthor=False) / NAME, user_config_path("postfx", appauthor=False) / NAME]
+    return [site_config_path("postfx", appauthor=False) / DEFAULTS_FILE,
+            user_config_path("postfx", appauthor=False) / DEFAULTS_FILE]
 
 
 def read_defaults(options: Options) -> dict[str, Default]:
@@ -151,9 +157,9 @@ def _read(path: Path, options: Options) -> list[Default]:
     except (OSError, ValueError) as error:
         raise OptionError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     for name in content:
-        if name != TABLE or not isinstance(content[name], dict):
-            raise OptionError(f"{path}: no table '{name}': options of 'postfx run' stand below [{TABLE}]")
-    return [_default(path, options, key, value) for key, value in content.get(TABLE, {}).items()]
+        if name != RUN_TABLE or not isinstance(content[name], dict):
+            raise OptionError(f"{path}: no table '{name}': options of 'postfx run' stand below [{RUN_TABLE}]")
+    return [_default(path, options, key, value) for key, value in content.get(RUN_TABLE, {}).items()]
 
 
 def _default(path: Path, options: Options, key: str, value: Any) -> Default:

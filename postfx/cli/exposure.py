@@ -49,14 +49,14 @@ exit codes: 0 right; 1 too dark, too bright or drifting; 2 an error whose messag
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
-    EXPOSURE.add_to(parser)
+    EXPOSURE_OPTIONS.add_to(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Measure a sequence; returns the exit code."""
     from postfx.exposure.response import write_chart
 
-    EXPOSURE.refuse_conflicts(arguments)
+    EXPOSURE_OPTIONS.refuse_conflicts(arguments)
     refuse_several_views(arguments, "exposure")
     if arguments.chart:
         print(f"wrote    {write_chart(arguments.chart)}", file=sys.stderr)
@@ -68,14 +68,14 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0 if check.is_right else 1
 
 
-MODES = "auto|smooth|lit|metadata|EV"
+MODE_METAVAR = "auto|smooth|lit|metadata|EV"
 
-EXPOSURE = Options(Section("", (
+EXPOSURE_OPTIONS = Options(Section("", (
     INPUT,
     Option(flag="--frames", metavar="RANGE", help="frames to measure, e.g. 1-100"),
-    Option(flag="--exposure", metavar=MODES, default="auto",
+    Option(flag="--exposure", metavar=MODE_METAVAR, default="auto",
            help="exposure to test, as for 'postfx run' (default: auto)"),
-    Option(flag="--reference", metavar=MODES, default="smooth",
+    Option(flag="--reference", metavar=MODE_METAVAR, default="smooth",
            help="the right exposure (default: smooth, metered on the pictures); give an EV or metadata if the exposure "
            "is an artist's choice"),
     Option(flag="--tonemap", metavar="TAG", either="look", help="look of the tone mapper (default: as 'postfx run')"),
@@ -128,9 +128,9 @@ class ExposureCheck:
     @property
     def is_right(self) -> bool:
         """Whether every shot is exposed right."""
-        from postfx.exposure.debugger import RIGHT
+        from postfx.exposure.debugger import RIGHT_VERDICT
 
-        return self._report.verdict == RIGHT
+        return self._report.verdict == RIGHT_VERDICT
 
     def as_dict(self) -> dict[str, Any]:
         """What was measured, in plain types; EV are stops, levels parts of the signal."""
@@ -234,7 +234,7 @@ def _views(clean: Frame, display: np.ndarray, exposure_factor: float) -> Iterato
 
 
 def _row(shot: Shot, report: Report) -> str:
-    from postfx.exposure.debugger import DRIFTING
+    from postfx.exposure.debugger import DRIFTING_VERDICT
 
     frames = str(shot.first) if shot.first == shot.last else f"{shot.first}-{shot.last}"
     low, high = report.limits_ev  # black and white: beyond them nothing can be measured
@@ -242,7 +242,7 @@ def _row(shot: Shot, report: Report) -> str:
     mismatch = f"{'beyond ' * bool(bound)}{shot.mismatch_ev:+.2f} EV"
     right = f"{bound}{shot.right_ev:+.2f} EV (x {2**shot.right_ev:.3g})"
     row = f"{frames:<12}{shot.level:>8.1%}{mismatch:>17}{shot.drift_ev:>7.2f} EV  {right:<24}{shot.verdict}"
-    return row + (f" by {shot.drift_ev:.2f} EV" if shot.verdict == DRIFTING else "")
+    return row + (f" by {shot.drift_ev:.2f} EV" if shot.verdict == DRIFTING_VERDICT else "")
 
 
 def _round(values: dict[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from postfx.cli.run_options import DEPTH, FILES, INPUT, refuse_several_views
+from postfx.cli.run_options import DEPTH_OPTION, FILES, INPUT, refuse_several_views
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--guides", metavar="GUIDES", help="AOVs at output size, as for 'postfx run'")
     parser.add_argument("--frames", metavar="RANGE", help="frames to check, e.g. 12 or 1-100: the first eight of them")
     parser.add_argument("--profile", metavar="NAME|FILE", help="renderer profile (default: found from the file)")
-    DEPTH.add_to(parser)
+    DEPTH_OPTION.add_to(parser)
     FILES.add_to(parser)
     parser.add_argument("--pictures", metavar="DIR",
                         help="write a picture of every AOV of the first frame to this folder")
@@ -75,7 +75,8 @@ def execute(arguments: argparse.Namespace) -> int:
 
 STYLES = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 VERDICTS = {0: "nothing wrong was found", 1: "there are warnings", 2: "there are errors"}
-INDENT, SHOWN = " " * 9, 12
+LINE_INDENT = " " * 9
+MOST_LISTED_LINES = 12
 
 
 def print_text(facts: dict[str, Any], exit_code: int) -> None:
@@ -95,7 +96,7 @@ def print_text(facts: dict[str, Any], exit_code: int) -> None:
 
 
 def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
-    from postfx.io.profile import SOURCES
+    from postfx.io.profile import NAME_SOURCES
 
     profile, examined = facts["profile"], len(facts["examined"])
     looked = f", {examined} examined" if facts["frames"]["count"] > 1 else ""
@@ -103,7 +104,7 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
     return [
         f"{facts['source']}: {_frames_text(facts['frames'])}{looked}: {VERDICTS[exit_code]}",
         f"profile {profile['name']} ({profile['title'] or 'own'}), {facts['width']}x{facts['height']}",
-        *([f"names are {SOURCES[profile['source']]}"] if profile["source"] else []),
+        *([f"names are {NAME_SOURCES[profile['source']]}"] if profile["source"] else []),
         "",
         *(line for finding in facts["findings"] for line in _finding_lines(finding)),
         *([""] if facts["findings"] else []),
@@ -121,8 +122,8 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
 
 def _unread_lines(layers: list[str]) -> list[str]:
     """What the file holds beside the planes, in one line."""
-    more = f" and {len(layers) - SHOWN} more, see --json" if len(layers) > SHOWN else ""
-    return [f"unread   {'; '.join(layers[:SHOWN])}{more}"] if layers else []
+    more = f" and {len(layers) - MOST_LISTED_LINES} more, see --json" if len(layers) > MOST_LISTED_LINES else ""
+    return [f"unread   {'; '.join(layers[:MOST_LISTED_LINES])}{more}"] if layers else []
 
 
 def _finding_lines(finding: dict[str, str]) -> list[str | Text]:
@@ -132,7 +133,8 @@ def _finding_lines(finding: dict[str, str]) -> list[str | Text]:
     head = Text.assemble((f"{level:<9}", STYLES[level]), (finding["code"], "bold"),
                          f" ({finding['role']}): {finding['evidence']}")
     fix, *lines = finding["fix"].splitlines()
-    return [head, f"{INDENT}likely: {finding['cause']}", f"{INDENT}fix:    {fix}", *(INDENT + line for line in lines)]
+    return [head, f"{LINE_INDENT}likely: {finding['cause']}", f"{LINE_INDENT}fix:    {fix}",
+            *(LINE_INDENT + line for line in lines)]
 
 
 def _frames_text(frames: dict[str, int]) -> str:
@@ -149,14 +151,14 @@ def _guide_lines(guides: dict[str, Any] | None) -> list[str]:
 
 def _plane_line(plane: dict[str, Any], source: str = "") -> str:
     """One line; it says where the plane's names are from if that is neither `source` nor the user's own profile."""
-    from postfx.io.profile import SOURCES
+    from postfx.io.profile import NAME_SOURCES
 
     values = "no value" if plane["min"] is None else f"{plane['min']:.4g} .. {plane['max']:.4g}"
     signed = plane["role"] in ("motion", "normal")
     counts = (("misses", "misses"), ("non_finite", "not finite"), *(() if signed else (("negative", "negative"),)))
     odd = [f"{plane[key]} {words}" for key, words in counts if plane[key]]
     odd += [f"noise {plane['noise']:.2g}"] if (plane["noise"] or 0) >= 1e-3 else []
-    odd += [f"name {SOURCES[plane['source']]}"] if plane["source"] not in ("", source) else []
+    odd += [f"name {NAME_SOURCES[plane['source']]}"] if plane["source"] not in ("", source) else []
     text = f"{plane['role']:<22}{plane['channels']:<38}{values}"
     return f"{text} ({', '.join(odd)})" if odd else text
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from postfx.cli.options import Option, Options, Section, parse_from_zero, parse_positive
-from postfx.cli.run_options import DEPTH, FILES, INPUT, RUN, parse_cuts
+from postfx.cli.run_options import DEPTH_OPTION, FILES, INPUT, RUN, parse_cuts
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,7 +62,7 @@ def execute(arguments: argparse.Namespace) -> int:
     return 0
 
 
-SAMPLES = 8
+SHUTTER_SAMPLES = 8
 """Times within an open shutter."""
 
 
@@ -84,7 +84,7 @@ INTERPOLATE = Options(Section("", (
     Option(flag="--frames", metavar="RANGE", help="frames to use, e.g. 1-100"),
     Option(flag="--shutter", metavar="DEGREES", type=_parse_shutter, default=0.0,
            help="add motion blur to renders that have none: how long the shutter is open, where 360 is all of a new "
-           f"frame; the mean of {SAMPLES} times (default: 0, none)"),
+           f"frame; the mean of {SHUTTER_SAMPLES} times (default: 0, none)"),
     Option(flag="--planes",
            help="write depth, motion, normals, reflectances and Cryptomattes of all frames, too, so that passes after "
            "this one can use them; the files hold floats"),
@@ -105,7 +105,7 @@ INTERPOLATE = Options(Section("", (
            help="bits of a channel: 16 (half floats, default) or 32 (floats, default with --planes)"),
     RUN["--compression"],
     RUN["--profile"],
-    DEPTH,
+    DEPTH_OPTION,
     *FILES,
     Option(flag="--cuts", metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts", convert=parse_cuts,
            help="where shots begin: by headers and pictures, nowhere, or at these frames (default: auto)"),
@@ -280,8 +280,8 @@ class Interpolation:
         time, last = moment.start + moment.t, len(self._sequence) - 1
         length = self._arguments.shutter / 360 / float(self._times.ratio or len(self._times.within))
         shown = []
-        for k in range(SAMPLES):
-            at = min(max(time + length * ((k + 0.5) / SAMPLES - 0.5), 0.0), float(last))
+        for k in range(SHUTTER_SAMPLES):
+            at = min(max(time + length * ((k + 0.5) / SHUTTER_SAMPLES - 0.5), 0.0), float(last))
             start = min(int(at), last - 1)
             if self._read(start) is not None and self._read(start + 1) is not None:
                 shown.append(self._between_at(start).frame(at - start))

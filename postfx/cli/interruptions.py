@@ -148,14 +148,14 @@ def check_sizes(frame: Frame, first: FrameSpec, sized: bool) -> None:
                          f"{first.guides.width}x{first.guides.height}: render them at one size")
 
 
-PIXEL_BYTES = 900
+NETWORK_PIXEL_BYTES = 900
 """Least memory that a network takes for each pixel of a render: 970 to 1100 measured at 1x, 840 at 2x, on a CPU."""
 
 
 def check_memory(plan: Plan, sequence: Sequence) -> None:
     """OptionError where a network's memory for a frame exceeds the machine's: the system would kill the run later."""
     size, there = plan.input, usable_memory()
-    needs, is_masked = PIXEL_BYTES * size.width * size.height, Role.STRENGTH in plan.planes
+    needs, is_masked = NETWORK_PIXEL_BYTES * size.width * size.height, Role.STRENGTH in plan.planes
     if needs > there and not is_masked and any(step.name == "denoise_upscale" for step in plan.steps):
         raise OptionError(f"{sequence.pattern}: to denoise {size.width}x{size.height} takes {needs >> 30} GB and more, "
                           f"this machine has {there >> 30} GB: give --memory {max(1, there * 6 // 10 >> 30)}G, which "

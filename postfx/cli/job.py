@@ -55,8 +55,8 @@ from postfx.cuts import CutDetector
 from postfx.errors import OptionError, PostfxError, WriteError
 from postfx.exposure import (
     APPLIED,
-    SMOOTH,
-    USED,
+    SMOOTH_MODE,
+    USED_EXPOSURE_ATTRIBUTE,
     ExposureMeter,
     SmoothExposure,
     colours_of,
@@ -81,7 +81,7 @@ from postfx.runs.run import Options, Run, provenance_of
 from postfx.runs.schedule import Work, find_preroll
 from postfx.runtime import Device
 from postfx.temporal.reverse_order import Backwards
-from postfx.wrap import AROUND, AUTO, NONE, is_panorama
+from postfx.wrap import WRAP_AROUND, WRAP_AUTO, WRAP_NONE, is_panorama
 
 if TYPE_CHECKING:
     from postfx.cli.report import RunReport
@@ -111,7 +111,7 @@ class Job:
         self.outputs = _outputs(arguments, self.sequence)
         refuse_layer(arguments, self.outputs)
         self.skips: list[Skip] = []
-        self._smooth = arguments.exposure == SMOOTH
+        self._smooth = arguments.exposure == SMOOTH_MODE
         policy = OnError(arguments.on_error)
         if policy is OnError.STOP and not (arguments.explain or arguments.skip_existing):
             self.sequence.refuse_holes(self.sequence.numbers)
@@ -196,10 +196,10 @@ class Job:
 
     def _find_wrap(self) -> str:
         """Whether frames are panoramas, by the option or the first frame's header, as the pipeline names it."""
-        if self._arguments.wrap != AUTO:
+        if self._arguments.wrap != WRAP_AUTO:
             return str(self._arguments.wrap)
         with self.sequence.open(self.first) as files:
-            return AROUND if is_panorama(files.layout.attributes) else NONE
+            return WRAP_AROUND if is_panorama(files.layout.attributes) else WRAP_NONE
 
     def _make_capture(self, device: Device) -> FrameCapture:
         # It loads pages, which other runs need not wait for.
@@ -531,7 +531,7 @@ class Job:
 
     def _write(self, run: Run, done: FrameResult, progress: FrameProgress) -> None:
         number, result, used = done.source.number, done.result, done.exposure_factor
-        told = {} if used is None else {APPLIED if self._is_exposed else USED: log2(used)}
+        told = {} if used is None else {APPLIED if self._is_exposed else USED_EXPOSURE_ATTRIBUTE: log2(used)}
         facts, paths = done.facts(), []
         for path, picture in self._files().split(result):
             write = partial(write_frame, path, picture, relax=self._relax, provenance={**run.header(), **told},

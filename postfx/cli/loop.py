@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from postfx.cli.options import Option, Options, Section, parse_from_zero, parse_positive
-from postfx.cli.samples import SAMPLES
+from postfx.cli.samples import SAMPLE_OPTIONS
 
 DESCRIPTION = """\
 Render a shot with few samples, denoise it, render again the tiles that need more, merge, and so on until all tiles have
@@ -48,12 +48,12 @@ LOOP = Options(Section("", (
     Option(flag="--frames", metavar="RANGE", default="1", help="frames of the shot (default: 1)"),
     Option(flag="--samples", metavar="N", type=parse_positive, default=16,
            help="samples a pixel of the first round (default: 16)"),
-    SAMPLES["--quality"],
+    SAMPLE_OPTIONS["--quality"],
     Option(flag="--budget", metavar="N", type=parse_from_zero,
            help="samples a pixel of all later rounds together, in the mean of the shot (default: no limit)"),
     Option(flag="--rounds", metavar="N", type=parse_positive, default=4,
            help="rounds at most after the first one (default: 4)"),
-    SAMPLES["--tile"],
+    SAMPLE_OPTIONS["--tile"],
     Option(flag="--work", metavar="DIR", help="folder of the renders (default: a folder loop beside OUTPUT)"),
     Option(flag="--overwrite", help="replace output files that are there"),
     Option(flag="--json", help="print one JSON object"),

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from postfx.cli.options import Options, Section
-from postfx.cli.run_options import FILES, LOOK
+from postfx.cli.run_options import FILES, LOOK_OPTIONS
 
 DESCRIPTION = """\
 Write the global part of a look as a 3-D look-up table (.cube) that OpenColorIO, DaVinci Resolve, Nuke and others read.
@@ -25,7 +25,7 @@ examples:
 """
 _SIZES = (17, 33, 65)
 _MOST_FRAMES = 16
-_LOOK = Options(Section("", LOOK))
+_LOOK = Options(Section("", LOOK_OPTIONS))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

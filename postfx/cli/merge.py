@@ -41,7 +41,7 @@ def _parse_samples(text: str) -> list[int]:
     return [parse_positive(word.strip()) for word in text.split(",")]
 
 
-MERGE = Options(Section("", (
+MERGE_OPTIONS = Options(Section("", (
     Option(flag="input", metavar="RENDER", is_file=True, several=True,
            help="renders to merge: files, patterns or folders, each with another seed"),
     Option(flag="--output", short="-o", metavar="OUTPUT",
@@ -58,7 +58,7 @@ MERGE = Options(Section("", (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
-    MERGE.add_to(parser)
+    MERGE_OPTIONS.add_to(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -96,7 +96,7 @@ class MergeJob:
         from postfx.io.sequence import Sequence, read_sequence
         from postfx.io.writer import ExistingFiles, OutputFiles
 
-        MERGE.refuse_conflicts(arguments)
+        MERGE_OPTIONS.refuse_conflicts(arguments)
         if not arguments.output:
             raise WriteError("nowhere to write: give -o OUTPUT, e.g. -o merged.exr")
         self.names = [arguments.input] if isinstance(arguments.input, str) else list(arguments.input)

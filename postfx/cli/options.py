@@ -355,7 +355,7 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-CHUNK = 50
+CHUNK_FRAMES = 50
 """Frames of a chunk for a farm, if not given."""
 
 
@@ -365,4 +365,4 @@ def parse_ray(text: str) -> tuple[str, int]:
     name, _, number = rest.partition("=")
     if not address or (rest and name != "size"):
         raise argparse.ArgumentTypeError(f"'{text}' is not an address, with ,size=N for the frames of a chunk")
-    return address, parse_positive(number) if rest else CHUNK
+    return address, parse_positive(number) if rest else CHUNK_FRAMES

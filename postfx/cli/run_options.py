@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from postfx.cli.options import (
-    CHUNK,
+    CHUNK_FRAMES,
     Option,
     Options,
     Section,
@@ -60,7 +60,7 @@ def _parse_preroll(text: str) -> int | str:
 INPUT = Option(flag="input", once=True, metavar="INPUT", is_file=True, several=True,
                help="frames to read: a pattern, a folder, wildcards or files")
 
-FRAMES = Section("frames", (
+FRAME_SECTION = Section("frames", (
     INPUT,
     Option(flag="--output", short="-o", basic=True, once=True, metavar="OUTPUT", changes="nothing",
            help="files to write: a pattern like out/clean.####.exr, a folder or one file"),
@@ -142,7 +142,7 @@ def _parse_rerun(text: str) -> str | int:
     return text if text == _EXACT else int(text)
 
 
-LOGS = Section("logs and resuming", (
+LOG_SECTION = Section("logs and resuming", (
     Option(flag="--log", once=True, metavar="FILE", type=parse_path, sets="run.log", changes="nothing",
            help="append one JSON object a line for each frame and event (docs/lab/reliability.md)"),
     Option(flag="--checkpoint", metavar="SECONDS", type=_parse_seconds, default=30.0, sets="run.checkpoint",
@@ -179,7 +179,7 @@ FAST_LOOK = Option(
     help="show an OpenColorIO view, a look-up table or a formula through a cube of 65 steps: faster, and up to 10 of "
     "255 steps off in saturated light. By default every pixel is exact. Networks are not affected",
 )
-LOOK = (TONEMAP, NO_TONEMAP, DISPLAY)
+LOOK_OPTIONS = (TONEMAP, NO_TONEMAP, DISPLAY)
 """Options that say what pictures look like."""
 
 
@@ -309,7 +309,7 @@ def _asks_error(names: str) -> bool:
     return _ERROR in _words(names)
 
 
-PARTS = Section("masks, light groups and passes", (
+PART_SECTION = Section("masks, light groups and passes", (
     Option(flag="--leave", metavar="NAMES", sets="sequence.leave", excludes=_FOR_DENOISER,
            help="what not to denoise: objects or materials of a Cryptomatte, ids of an AOV, auto for a noise-free "
            "sky, converged:0.01 for pixels whose error is at most 1 %%, or converged:256spp. Add =S to denoise "
@@ -336,7 +336,7 @@ PARTS = Section("masks, light groups and passes", (
            "as an EXR layer of its own, or ignore it"),
 ))
 
-LOOKS = Section("look", (
+LOOK_SECTION = Section("look", (
     TONEMAP,
     NO_TONEMAP,
     Option(flag="--exposure", basic=True, metavar="auto|smooth|lit|metadata|EV", default="auto",
@@ -366,14 +366,14 @@ def make_run_up(arguments: argparse.Namespace, sequence: Sequence, cuts: str) ->
 def refuse_views(sequence: Sequence, outputs: OutputFiles | None) -> None:
     """WriteError if files cannot hold all views that are asked for, or are for views and there are none."""
     from postfx.errors import WriteError
-    from postfx.io.pattern import VIEW
+    from postfx.io.pattern import VIEW_FIELD
 
     if sequence.views and outputs and outputs.display and not outputs.has_views:
-        raise WriteError(f"{outputs.pattern}: only EXR holds several views: write EXR, or a file for each: put {VIEW} "
-                         "into the name")
+        raise WriteError(f"{outputs.pattern}: only EXR holds several views: write EXR, or a file for each: put "
+                         f"{VIEW_FIELD} into the name")
     if outputs and outputs.has_views and not sequence.view:
-        raise WriteError(f"{outputs.pattern}: {VIEW} is for the names of views, and none is known: give --view all for "
-                         "stereo files, or leave it out")
+        raise WriteError(f"{outputs.pattern}: {VIEW_FIELD} is for the names of views, and none is known: give --view "
+                         "all for stereo files, or leave it out")
 
 
 def refuse_several_views(arguments: argparse.Namespace, verb: str) -> None:
@@ -406,7 +406,7 @@ def explain_overlay(arguments: argparse.Namespace, files: FrameFiles) -> list[Sk
 
 # Reading and running
 
-DEPTH = Option(
+DEPTH_OPTION = Option(
     flag="--depth", metavar="KIND[,NAME=NUMBER]", sets="sequence.depth",
     help="what the depth AOV holds: planar (along the view axis), ray (from the eye), device (a depth buffer), "
     "reversed, normalised or normalised-reversed. Give near, far, fov, miss and scale where needed, e.g. "
@@ -421,11 +421,11 @@ COLOURSPACE = Option(
 
 LAYER = Option(flag="--layer", metavar="NAME", sets="sequence.layer",
                help="view layer, or other layer, to read (default: the view layer with the most AOVs)")
-VIEW = Option(flag="--view", metavar="NAMES", sets="sequence.view",
-              help="view of stereo files to read, e.g. left (default: the first, or all where INPUT has {view}). "
-              "'postfx run' takes several, as left,right or all. It writes them into one EXR, or into a file "
-              "each where OUTPUT has {view}")
-FILES = Options(Section("", (COLOURSPACE, LAYER, VIEW)))
+VIEW_OPTION = Option(flag="--view", metavar="NAMES", sets="sequence.view",
+                     help="view of stereo files to read, e.g. left (default: the first, or all where INPUT has "
+                     "{view}). 'postfx run' takes several, as left,right or all. It writes them into one EXR, or into "
+                     "a file each where OUTPUT has {view}")
+FILES = Options(Section("", (COLOURSPACE, LAYER, VIEW_OPTION)))
 """What every verb that reads frames must let the user say about them."""
 
 
@@ -448,7 +448,7 @@ def parse_cuts(text: str) -> tuple[int, ...] | None:
 READING = Section("reading and running", (
     Option(flag="--profile", metavar="NAME|FILE", type=parse_path, sets="sequence.profile", is_file=True,
            help="the renderer's names for its AOVs: a built-in profile or a TOML file (default: found from the file)"),
-    DEPTH,
+    DEPTH_OPTION,
     *FILES,
     Option(flag="--cuts", once=True, metavar="auto|none|FRAMES", default="auto", sets="sequence.cuts",
            convert=parse_cuts,
@@ -471,7 +471,7 @@ READING = Section("reading and running", (
            excludes=dict.fromkeys(("--json", "--report", "--capture"), "--ray has other machines run the sequence, in "
                                   "chunks: leave --json, --report and --capture out"),
            help="run on the machines of a Ray cluster (HOST:PORT, ray://HOST:PORT, auto, or local for this machine), "
-           f"in chunks of N frames (default: {CHUNK}) as 'postfx chunks' makes them (docs/howto/farm.md)"),
+           f"in chunks of N frames (default: {CHUNK_FRAMES}) as 'postfx chunks' makes them (docs/howto/farm.md)"),
 ))
 
 
@@ -516,5 +516,6 @@ CAPTURE = Section("capture", (
            help="also run the frame's networks once more, node by node: figures, pictures and time of each node"),
 ))
 
-RUN = Options(FRAMES, DENOISING, LOOKS, PARTS, FILES_WRITTEN, READING, LOGS, REPORTS, CAPTURE)
+RUN = Options(FRAME_SECTION, DENOISING, LOOK_SECTION, PART_SECTION, FILES_WRITTEN, READING, LOG_SECTION, REPORTS,
+              CAPTURE)
 """All of them."""

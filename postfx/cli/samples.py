@@ -41,7 +41,7 @@ examples:
 """
 
 
-SAMPLES = Options(Section("", (
+SAMPLE_OPTIONS = Options(Section("", (
     INPUT,
     Option(flag="--output", short="-o", metavar="OUTPUT", help="EXR files to write: a pattern, a folder or one file"),
     Option(flag="--quality", metavar="WORD|dB|flip=F", default="visible",
@@ -76,7 +76,7 @@ SAMPLES = Options(Section("", (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this verb's arguments."""
-    SAMPLES.add_to(parser)
+    SAMPLE_OPTIONS.add_to(parser)
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -99,14 +99,14 @@ class SamplesJob:
         from postfx.io.sequence import Sequence, read_sequence
         from postfx.io.writer import ExistingFiles, OutputFiles
 
-        SAMPLES.refuse_conflicts(arguments)
+        SAMPLE_OPTIONS.refuse_conflicts(arguments)
         self._arguments, self._is_quiet = arguments, is_quiet
         self.quality = parse_quality(arguments.quality)
         if arguments.tile < 8:
             raise OptionError(f"--tile {arguments.tile}: is too small to render: give 8 or more, such as 32 or 64")
         if not (arguments.output or arguments.json or arguments.pictures):
             raise WriteError("nowhere to write: give -o OUTPUT, --pictures DIR or --json")
-        values = SAMPLES.values_for("sequence", arguments)
+        values = SAMPLE_OPTIONS.values_for("sequence", arguments)
         self._sequence = read_sequence(arguments.input, arguments.frames, arguments.profile, **values).first_view()
         others = [read_sequence(arguments.halves, profile=arguments.profile, **values).first_view()] \
             if arguments.halves else []
@@ -268,7 +268,7 @@ class SamplesJob:
         from postfx.runtime import Device
         from postfx.temporal.reverse_order import RunUp
 
-        options = SAMPLES.values_for("denoiser", self._arguments)
+        options = SAMPLE_OPTIONS.values_for("denoiser", self._arguments)
         return Pipeline([DenoiseUpscale(scale=1.0, **options)], Device(self._arguments.device),
                         run_up=RunUp(sequence))
 

@@ -289,7 +289,8 @@ class FrameResult:
                 "broken": dict(self.bad_pixels)}
 
 
-LEFT_OUT, RESAMPLED = "left out", "resampled"
+LEFT_OUT = "left out"
+RESAMPLED = "resampled"
 
 
 @dataclass

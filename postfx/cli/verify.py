@@ -28,7 +28,7 @@ examples:
 exit codes: 0 all files are complete and unaltered; 1 files are altered, missing, unfinished or unknown; 2 there is no
 manifest, or it cannot be read
 """
-SHOWN = 10
+MOST_LISTED_FILES = 10
 MEANINGS = {
     "altered": "not as it was written",
     "missing": "was written and is gone",
@@ -63,8 +63,8 @@ def _lines(found: Verification) -> list[str]:
     lines = []
     for kind, meaning in MEANINGS.items():
         names = getattr(found, kind)
-        lines += [f"{kind:<11}{name}: {meaning}" for name in names[:SHOWN]]
-        lines += [f"{kind:<11}{len(names) - SHOWN} more"] if len(names) > SHOWN else []
+        lines += [f"{kind:<11}{name}: {meaning}" for name in names[:MOST_LISTED_FILES]]
+        lines += [f"{kind:<11}{len(names) - MOST_LISTED_FILES} more"] if len(names) > MOST_LISTED_FILES else []
     ended = [f"run {run} was {state}" for run, state in found.runs.items() if state != "finished"]
     counts = ", ".join(f"{len(getattr(found, kind))} {kind}" for kind in ("whole", *MEANINGS))
     return [*lines, *ended, counts]

@@ -150,7 +150,7 @@ class Arrivals:
     def _ready(self) -> int | None:
         """The frame to take now, if there is one: the next in order, or a later one after some patience."""
         from postfx.errors import SequenceError
-        from postfx.io.pattern import VIEW, locate
+        from postfx.io.pattern import VIEW_FIELD, locate
 
         try:
             self.pattern, _ = locate(self._arguments.input)
@@ -159,7 +159,7 @@ class Arrivals:
                 raise
             return None  # an empty folder, or none yet
         if self.pattern.has_views:
-            raise SequenceError(f"{self.pattern}: 'postfx watch' watches one view: put its name for {VIEW}")
+            raise SequenceError(f"{self.pattern}: 'postfx watch' watches one view: put its name for {VIEW_FIELD}")
         found = self.pattern.find_frames()
         numbers = [number for number in found if self._last is None or number > self._last]
         if not numbers:

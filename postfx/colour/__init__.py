@@ -43,7 +43,11 @@ LUMA_REC2020 = (0.2627, 0.6780, 0.0593)
 """Weights of luminance, ITU-R BT.2100-2, table 5."""
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 """XYZ to sharpened cone responses; Lam 1985, as in ICC.1:2022, annex E."""
-_ROUNDED, _ALIKE = 2.1e-5, 2e-3  # five digits in a header move a colour by less than 1e-4
+
+# Five digits in a header move a colour by less than 1e-4
+_ROUNDED = 2.1e-5
+_ALIKE = 2e-3
+
 _FLAT = 1e-6
 
 
@@ -104,7 +108,7 @@ def matrix_between(source: Chromaticities, target: Chromaticities) -> np.ndarray
     return matrix
 
 
-WIDER = matrix_between(REC709, ACES2065_1)
+TO_WIDER_PRIMARIES = matrix_between(REC709, ACES2065_1)
 """To primaries as much wider than a picture's own as those of ACES2065-1, which hold all light that there is, are than
 Rec.709's. No number is negative, so reflectance stays positive, and rows add up to 1, so grey stays as it is."""
 

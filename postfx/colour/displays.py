@@ -18,10 +18,14 @@ from postfx.errors import ColourError
 
 PQ_NITS = 10000.0
 """Light of the PQ code value 1, cd/m2."""
-_M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
-_C1, _C2, _C3 = 3424 / 4096, 2413 / 4096 * 32, 2392 / 4096 * 32
+_M1 = 2610 / 16384
+_M2 = 2523 / 4096 * 128
+_C1 = 3424 / 4096
+_C2 = 2413 / 4096 * 32
+_C3 = 2392 / 4096 * 32
 _A = 0.17883277
-_B, _C = 1 - 4 * _A, 0.5 - _A * np.log(4 * _A)
+_B = 1 - 4 * _A
+_C = 0.5 - _A * np.log(4 * _A)
 
 
 class Curve(NamedTuple):
@@ -86,7 +90,7 @@ HLG = Curve(_hlg_encode, _hlg_decode)
 """ITU-R BT.2100-2, table 5: the OETF, which takes light of the scene."""
 
 
-WHITE = 203.0
+DIFFUSE_WHITE_NITS = 203.0
 """Light of diffuse white on an HDR display, cd/m2 (ITU-R BT.2408-7, table 1)."""
 PEAK = 1000.0
 _HLG_PEAKS = (400.0, 2000.0)  # outside, BT.2100's formula for the system gamma does not hold
@@ -109,7 +113,7 @@ class Kind(NamedTuple):
     cicp: tuple[int, int, int, int] | None
 
 
-KINDS = {
+DISPLAY_KINDS = {
     "srgb": Kind("sRGB", REC709, SRGB, (1, 13, 0, 1)),
     "p3": Kind("Display P3", P3_D65, SRGB, (12, 13, 0, 1)),
     "rec709": Kind("Rec.709, BT.1886", REC709, BT1886, None),
@@ -125,7 +129,7 @@ class Display:
     """A display. Light is linear RGB of its primaries; 1 is white: all it can give in SDR, diffuse white in HDR.
 
     Attributes:
-        name: one of `KINDS`.
+        name: one of `DISPLAY_KINDS`.
         peak: most light of an HDR display, cd/m2; for HLG its nominal peak. None in SDR.
         white: light of 1 on an HDR display, cd/m2. None in SDR, where it is as bright as the viewer likes.
     """
@@ -137,7 +141,7 @@ class Display:
     @property
     def kind(self) -> Kind:
         """The properties shared with other displays of its name."""
-        return KINDS[self.name]
+        return DISPLAY_KINDS[self.name]
 
     @property
     def hdr(self) -> bool:
@@ -184,14 +188,14 @@ class Display:
 def parse_display(text: str) -> Display:
     """A display from 'p3' or 'pq,peak=1000,white=203'. Raises ColourError, which lists the displays."""
     name, *settings = text.split(",")
-    if name not in KINDS:
-        raise ColourError(f"unknown display '{name}': use {', '.join(KINDS)}, e.g. pq,peak=1000")
+    if name not in DISPLAY_KINDS:
+        raise ColourError(f"unknown display '{name}': use {', '.join(DISPLAY_KINDS)}, e.g. pq,peak=1000")
     values = dict(_parse_setting(text, item) for item in settings)
     if name not in HDR:
         if values:
             raise ColourError(f"display '{text}': peak and white are for {' and '.join(HDR)}")
         return Display(name)
-    return _hdr_display(name, values.get("peak", PEAK), values.get("white", WHITE))
+    return _hdr_display(name, values.get("peak", PEAK), values.get("white", DIFFUSE_WHITE_NITS))
 
 
 def _parse_setting(text: str, item: str) -> tuple[str, float]:

@@ -17,7 +17,7 @@ from postfx.colour.ocio_library import Colours, Config, load
 from postfx.errors import ColourError
 
 PREFIX = "ocio:"
-BUILT_IN = "ocio://studio-config-v4.0.0_aces-v2.0_ocio-v2.5"
+BUILT_IN_CONFIG = "ocio://studio-config-v4.0.0_aces-v2.0_ocio-v2.5"
 INTERCHANGE = "aces_interchange"
 """The role that a config must have; its space is ACES2065-1."""
 LUTS = (".cube", ".clf", ".ctf", ".3dl", ".spi3d", ".csp")
@@ -44,7 +44,7 @@ class Transform(NamedTuple):
 
 def config_name() -> str:
     """The config in use: $OCIO, or the ACES 2 studio config that is built into OpenColorIO."""
-    return os.environ.get("OCIO") or BUILT_IN
+    return os.environ.get("OCIO") or BUILT_IN_CONFIG
 
 
 def view_transform(text: str, display: Display) -> Transform:
@@ -99,18 +99,18 @@ def file_transform(text: str) -> Transform:
 
 def convert(light: np.ndarray, source: str, target: str) -> np.ndarray:
     """Colours (..., 3) from one colour space of the built-in config to another, float64."""
-    return _apply(_config(BUILT_IN).convert(source, target), light, f"{source} to {target}")
+    return _apply(_config(BUILT_IN_CONFIG).convert(source, target), light, f"{source} to {target}")
 
 
 def name_of_id(identifier: str) -> str | None:
     """Colour space of the built-in config with this identifier of the Color Interop Forum, None where it has none."""
-    config = _config(BUILT_IN)
+    config = _config(BUILT_IN_CONFIG)
     return next((name for name in config.spaces if config.interop_id(name) == identifier), None)
 
 
 def is_linear(name: str) -> bool:
     """Whether a colour space of the built-in config is linear."""
-    return _config(BUILT_IN).is_linear(name)
+    return _config(BUILT_IN_CONFIG).is_linear(name)
 
 
 def is_lut(text: str) -> bool:

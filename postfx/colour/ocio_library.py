@@ -18,7 +18,7 @@ import OpenImageIO as oiio
 
 from postfx.errors import ColourError
 
-PACKAGE = "opencolorio"
+OCIO_PACKAGE = "opencolorio"
 _MODULE = "PyOpenColorIO"
 
 Colours = Callable[[np.ndarray], np.ndarray]
@@ -71,7 +71,7 @@ class Config(ABC):
 
 def version() -> str:
     """Version of the OpenColorIO in use."""
-    return metadata.version(PACKAGE) if is_installed() else str(oiio.get_string_attribute("opencolorio_version"))
+    return metadata.version(OCIO_PACKAGE) if is_installed() else str(oiio.get_string_attribute("opencolorio_version"))
 
 
 def is_installed() -> bool:

@@ -17,11 +17,17 @@ import numpy as np
 from postfx.colour import ACESCG, REC709, Chromaticities, ocio, to_xyz
 from postfx.colour.displays import Display, parse_display, srgb_encode
 
-SIZE = 65
-TOE, WHITEST = 2.0**-10, 2.0**8
-"""The axes: log2(1 + x / TOE) * SCALE is 0..1 for light of 0..WHITEST, where mid grey is 0.18."""
-SCALE = float(1 / np.log2(1 + WHITEST / TOE))
-_START, _DESATURATION, _OFFSET = 0.8, 0.15, 0.04
+CUBE_SIDE = 65
+
+# The axes: log2(1 + x / AXIS_TOE) * AXIS_SCALE is 0..1 for light of 0..WHITEST, where mid grey is
+# 0.18.
+AXIS_TOE = 2.0**-10
+WHITEST = 2.0**8
+
+AXIS_SCALE = float(1 / np.log2(1 + WHITEST / AXIS_TOE))
+_START = 0.8
+_DESATURATION = 0.15
+_OFFSET = 0.04
 
 
 @dataclass(frozen=True)
@@ -96,13 +102,13 @@ def is_view(text: str) -> bool:
     return text in VIEWS or text.startswith(ocio.PREFIX) or ocio.is_lut(text)
 
 
-def axis(size: int = SIZE) -> np.ndarray:
+def axis(size: int = CUBE_SIDE) -> np.ndarray:
     """Light at the corners along one axis of a cube, (size,)."""
-    return TOE * (np.exp2(np.linspace(0, 1, size) / SCALE) - 1)
+    return AXIS_TOE * (np.exp2(np.linspace(0, 1, size) / AXIS_SCALE) - 1)
 
 
 def bake(view: View) -> np.ndarray:
-    """A view's cube, (SIZE, SIZE, SIZE, 3) float32: red, green, blue, channel."""
+    """A view's cube, (CUBE_SIDE, CUBE_SIDE, CUBE_SIDE, 3) float32: red, green, blue, channel."""
     light = axis()
     corners = np.stack(np.meshgrid(light, light, light, indexing="ij"), -1)
     cube: np.ndarray = np.clip(view.apply(corners), 0, 1).astype(np.float32)
@@ -122,7 +128,7 @@ class Band(NamedTuple):
     meaning: str
 
 
-BANDS = (
+FALSE_COLOUR_BANDS = (
     Band(0.0, 0.025, (120, 40, 170), "black clipping"),
     Band(0.025, 0.04, (40, 80, 230), "just above black"),
     Band(0.38, 0.42, (60, 180, 75), "18 % mid grey"),
@@ -162,7 +168,7 @@ def false_colour(signal: np.ndarray) -> np.ndarray:
     """ARRI's false colour of a signal 0..1, (height, width) -> uint8 (height, width, 3); grey between the bands."""
     signal = np.clip(np.nan_to_num(signal, nan=0.0), 0, 1)
     picture = np.repeat((signal * 255 + 0.5).astype(np.uint8)[..., None], 3, axis=-1)
-    for band in BANDS:
+    for band in FALSE_COLOUR_BANDS:
         picture[(signal >= band.low) & (signal <= band.high)] = band.colour
     return picture
 

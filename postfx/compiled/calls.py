@@ -13,7 +13,10 @@ from typing import Any
 
 import numpy as np
 
-_WITHOUT_GAPS, _ALIGNED, _WRITEABLE = 0x1, 0x100, 0x400  # NumPy's flags of arrays
+# NumPy's flags of arrays
+_WITHOUT_GAPS = 0x1
+_ALIGNED = 0x100
+_WRITEABLE = 0x400
 
 Kinds = tuple[str | None, ...]
 """Kinds of arrays: type, axes and 'r' if read-only, such as '<f4:3r'; None what has no name."""

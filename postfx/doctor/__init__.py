@@ -79,7 +79,7 @@ def exit_code(findings: Iterable[Finding]) -> int:
 
 # Statistics of single planes: ranges, counts of odd values, noise, and block means.
 
-BLOCK = 8
+MEASURED_BLOCK_PX = 8
 FLATTEST = 25
 """Percentile of the noise of all blocks that is taken: the flattest quarter has the least texture."""
 
@@ -144,7 +144,7 @@ def noise_level(plane: np.ndarray) -> float | None:
     and slopes; its mean magnitude is taken in blocks of 8 x 8 pixels, of the channel where it is largest. Blocks that
     hold misses, or nothing but 0, are left out.
     """
-    if min(plane.shape[:2]) < BLOCK + 2:
+    if min(plane.shape[:2]) < MEASURED_BLOCK_PX + 2:
         return None
     valid = np.isfinite(plane).all(2) & (np.abs(plane) < DEPTH_MISS).all(2)
     used = blocks(valid[1:-1, 1:-1].astype(np.float32)) == 1
@@ -155,7 +155,7 @@ def noise_level(plane: np.ndarray) -> float | None:
     return float(np.sqrt(np.pi / 2) / 6 * np.percentile(sizes[used], FLATTEST))
 
 
-def blocks(plane: np.ndarray, size: int = BLOCK) -> np.ndarray:
+def blocks(plane: np.ndarray, size: int = MEASURED_BLOCK_PX) -> np.ndarray:
     """Means of whole blocks of a (height, width) plane."""
     rows, columns = plane.shape[0] // size, plane.shape[1] // size
     result: np.ndarray = plane[: rows * size, : columns * size].reshape(rows, size, columns, size).mean((1, 3))

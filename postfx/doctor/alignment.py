@@ -16,18 +16,27 @@ from postfx.doctor import blocks, finite, largest
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.sampling import bilinear, is_inside, local_mean
 
-PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)
-GUIDES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL)
-WINDOW = 512
+ALIGNED_PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.ROUGHNESS, Role.DEPTH, Role.MOTION)
+ALIGNING_GUIDES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL)
+WINDOW_SIDE_PX = 512
 """Of a larger picture only the middle is examined: this many pixels wide and high at most."""
 STRONGEST = 0.98
-BLOCK, REACH, MOST_BLOCKS = 8, 8, 48
-STANDS_OUT, LEAST_MISFIT = 4.0, 0.04
-"""A block fits badly when its error is at least this many times the median, and at least this large."""
-FITS = 0.4
+ALIGNED_BLOCK_PX = 8
+STEP_REACH_PX = 8
+MOST_ALIGNED_BLOCKS = 48
+
+# A block fits badly when its error is at least this many times the median, and at least this
+# large.
+STANDS_OUT = 4.0
+LEAST_MISFIT = 0.04
+
+FITTING_ERROR_SHARE = 0.4
 """Share of a block's error that may remain after the right step."""
-ALIKE, CERTAIN = 1, 3
-"""Pixels by which steps may differ: between blocks of one object, and among the steps that fit one block."""
+
+# Pixels by which steps may differ: between blocks of one object, and among the steps that fit one
+# block.
+ALIKE_STEPS_PX = 1
+CERTAIN_STEPS_PX = 3
 
 FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "upside down": lambda edges: edges[::-1],
@@ -63,7 +72,7 @@ class Mover(NamedTuple):
 
 def compare_edges(frames: Sequence[Frame]) -> dict[Role, Placement]:
     """How each plane's edges coincide with the others' edges; needs frames of one size with at least two planes."""
-    edges = [{role: found for role in (*PLANES, Role.COLOUR) if role in frame
+    edges = [{role: found for role in (*ALIGNED_PLANES, Role.COLOUR) if role in frame
               and (found := _edges(_window(frame[role]), role)) is not None} for frame in frames]
     return {role: placement for role in dict.fromkeys(role for found in edges for role in found)
             if (placement := _placement(edges, role))}
@@ -72,25 +81,26 @@ def compare_edges(frames: Sequence[Frame]) -> dict[Role, Placement]:
 def find_movers(before: Frame, now: Frame) -> list[Mover]:
     """Objects with the vectors of something else, the largest first; found by albedos and normals, which hold no
     shadows."""
-    roles = [role for role in GUIDES if role in before and role in now]
-    if not roles or Role.MOTION not in now or min(now.spec.width, now.spec.height) < 4 * BLOCK:
+    roles = [role for role in ALIGNING_GUIDES if role in before and role in now]
+    if not roles or Role.MOTION not in now or min(now.spec.width, now.spec.height) < 4 * ALIGNED_BLOCK_PX:
         return []
     old, new = (np.concatenate([_window(finite(frame[role])) for role in roles], -1) for frame in (before, now))
     motion = _window(finite(now[Role.MOTION])) + np.float32(np.subtract(now.jitter, before.jitter))
-    steps = np.array([(right, down) for down in range(-REACH, REACH + 1) for right in range(-REACH, REACH + 1)])
+    steps = np.array([(right, down) for down in range(-STEP_REACH_PX, STEP_REACH_PX + 1)
+                      for right in range(-STEP_REACH_PX, STEP_REACH_PX + 1)])
     found = []
     for row, column in _bad_blocks(old, new, motion):
         errors = _step_errors(old, new, motion, row, column, steps.astype(np.float32))
-        fitting, best = steps[errors < FITS * errors[len(steps) // 2]], steps[errors.argmin()]
-        if len(fitting) and np.abs(fitting - best).max() <= CERTAIN:  # else any step along an edge would do
-            found.append((column * BLOCK, row * BLOCK, int(best[0]), int(best[1])))
+        fitting, best = steps[errors < FITTING_ERROR_SHARE * errors[len(steps) // 2]], steps[errors.argmin()]
+        if len(fitting) and np.abs(fitting - best).max() <= CERTAIN_STEPS_PX:  # else any step along an edge would do
+            found.append((column * ALIGNED_BLOCK_PX, row * ALIGNED_BLOCK_PX, int(best[0]), int(best[1])))
     return _cluster(found)
 
 
 def _window(plane: np.ndarray) -> np.ndarray:
     height, width = plane.shape[:2]
-    top, left = max(0, height - WINDOW) // 2, max(0, width - WINDOW) // 2
-    return plane[top : top + WINDOW, left : left + WINDOW]
+    top, left = max(0, height - WINDOW_SIDE_PX) // 2, max(0, width - WINDOW_SIDE_PX) // 2
+    return plane[top : top + WINDOW_SIDE_PX, left : left + WINDOW_SIDE_PX]
 
 
 def _edges(plane: np.ndarray, role: Role) -> np.ndarray | None:
@@ -137,17 +147,18 @@ def _bad_blocks(old: np.ndarray, new: np.ndarray, motion: np.ndarray) -> list[tu
     rows, columns = np.indices(new.shape[:2])
     x, y = columns.astype(np.float32) + motion[..., 0], rows.astype(np.float32) + motion[..., 1]
     apart = largest(np.abs(bilinear(old, x.ravel(), y.ravel()).reshape(new.shape) - new))
-    errors = blocks(np.where(is_inside(old, x, y), apart, 0), BLOCK)
+    errors = blocks(np.where(is_inside(old, x, y), apart, 0), ALIGNED_BLOCK_PX)
     least = max(STANDS_OUT * float(np.median(errors)), LEAST_MISFIT)
     bad = np.argwhere(errors > least)
-    worst = np.argsort(-errors[bad[:, 0], bad[:, 1]])[:MOST_BLOCKS]
+    worst = np.argsort(-errors[bad[:, 0], bad[:, 1]])[:MOST_ALIGNED_BLOCKS]
     return [(int(row), int(column)) for row, column in bad[worst]]
 
 
 def _step_errors(old: np.ndarray, new: np.ndarray, motion: np.ndarray, row: int, column: int,
                  steps: np.ndarray) -> np.ndarray:
     """(steps,): mean error of every other pixel of a block after each further step (x, y)."""
-    part = slice(row * BLOCK, (row + 1) * BLOCK, 2), slice(column * BLOCK, (column + 1) * BLOCK, 2)
+    part = (slice(row * ALIGNED_BLOCK_PX, (row + 1) * ALIGNED_BLOCK_PX, 2),
+            slice(column * ALIGNED_BLOCK_PX, (column + 1) * ALIGNED_BLOCK_PX, 2))
     y, x = np.mgrid[part].astype(np.float32)
     places = np.stack([x, y], -1).reshape(-1, 2) + motion[part].reshape(-1, 2) + steps[:, None]
     values = bilinear(old, places[..., 0].ravel(), places[..., 1].ravel())
@@ -160,7 +171,7 @@ def _cluster(found: list[tuple[int, int, int, int]]) -> list[Mover]:
     """Group blocks (x, y, step x, step y) that take the same step into objects."""
     rest, things = np.array(found, int).reshape(-1, 4), []
     while len(rest):
-        near = [(np.abs(rest[:, 2:] - step) <= ALIKE).all(1) for step in rest[:, 2:]]
+        near = [(np.abs(rest[:, 2:] - step) <= ALIKE_STEPS_PX).all(1) for step in rest[:, 2:]]
         members = max(near, key=np.sum)
         x, y, right, down = np.median(rest[members], axis=0).astype(int)
         things.append(Mover(int(x), int(y), (int(right), int(down)), int(members.sum())))

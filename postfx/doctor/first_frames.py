@@ -31,9 +31,9 @@ OF_SEVERAL: tuple[Check, ...] = (
 )
 """Checks that compare frames of a shot: one seed for all, vectors of the wrong sign, axes or unit."""
 
-COMPARED = 3
+COMPARED_FRAMES = 3
 """Frames of a shot that are compared with each other."""
-WINDOW = 640, 360
+COMPARED_WINDOW_PX = 640, 360
 """Most columns and rows, in the middle of the picture, that are compared: more tell little and take long."""
 MOST_SEEN = 12
 """Frames after which no more are waited for, as where every frame is a shot of its own."""
@@ -72,7 +72,7 @@ class FirstFrames:
         planes = {role: self._keep(plane) for role, plane in frame.planes.items() if role in READ_FOR_CHECKS}
         self._size = _size(frame)
         self._kept.append(replace(frame, planes=planes, guides={}, guide_size=None, parts={}, views={}))
-        if len(self._kept) == COMPARED:
+        if len(self._kept) == COMPARED_FRAMES:
             material = Material(self._kept, whole=_size(frame))
             found += [finding for check in OF_SEVERAL for finding in check(material)]
             self._kept, self._seen = [], MOST_SEEN
@@ -87,7 +87,7 @@ class FirstFrames:
 
     def _keep(self, plane: np.ndarray) -> np.ndarray:
         height, width = plane.shape[:2]
-        columns, rows = min(width, WINDOW[0]), min(height, WINDOW[1])
+        columns, rows = min(width, COMPARED_WINDOW_PX[0]), min(height, COMPARED_WINDOW_PX[1])
         left, top = (width - columns) // 2, (height - rows) // 2
         window = plane[top : top + rows, left : left + columns]
         return window.copy() if self._copies else window

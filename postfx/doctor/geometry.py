@@ -23,18 +23,25 @@ from postfx.integrate.surfaces import split_sum
 CAMERA_AXES = tuple(map(np.diag, ((-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))))
 """Matrices to the picture's axes from the axes that worldToCamera may have: x left, y up, z forward; x right, y up,
 z back; x right, y up, z forward; x right, y down, z forward."""
-STEP = 2
-NEIGHBOURS, BEND = 0.05, 0.01
-"""Largest relative difference in depth between neighbours on one surface, and largest second difference."""
-POINTS, LEAST_POINTS = 5000, 500
+NEIGHBOUR_STEP_PX = 2
+
+# Largest relative difference in depth between neighbours on one surface, and largest second
+# difference.
+LARGEST_DEPTH_STEP = 0.05
+LARGEST_DEPTH_BEND = 0.01
+
+FITTED_POINTS = 5000
+FEWEST_FITTED_POINTS = 500
 LIKELY_FOV = tuple(range(20, 121, 10))
 AGREEING = 0.75
 """Share of the points that a fit must explain."""
 ONE_LENGTH = 0.2
 """Normals are scaled, not averaged, when more than this share of them has the greatest length."""
-SAME_AXES = 3.0  # degrees
+SAME_AXES_DEGREES = 3.0  # degrees
 NEAR_PLANES = tuple(0.0025 * 1.6**step for step in range(12))
-DEPTH_SCALES, SCALE_POINTS, RIGHT = 10.0 ** np.linspace(-5, 5, 161), 1000, 0.05
+DEPTH_SCALES = 10.0 ** np.linspace(-5, 5, 161)
+SCALE_POINTS = 1000
+RIGHT_SCALE_ERROR = 0.05
 
 
 class Points(NamedTuple):
@@ -91,18 +98,21 @@ def rays(frame: Frame, fov_x: float, rows: np.ndarray, columns: np.ndarray) -> n
 def smooth_points(depth: np.ndarray) -> Points:
     """Up to 5000 pixels whose neighbours two pixels away lie on the same surface."""
     z = np.where(is_hit(depth), depth[..., 0], np.nan).astype(np.float64)
-    if min(z.shape) < 2 * STEP + 1:
+    if min(z.shape) < 2 * NEIGHBOUR_STEP_PX + 1:
         return Points(np.zeros(0, int), np.zeros(0, int))
-    middle = z[STEP:-STEP, STEP:-STEP]
-    left, right = z[STEP:-STEP, : -2 * STEP], z[STEP:-STEP, 2 * STEP :]
-    up, down = z[: -2 * STEP, STEP:-STEP], z[2 * STEP :, STEP:-STEP]
+    middle = z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX]
+    left, right = (z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, : -2 * NEIGHBOUR_STEP_PX],
+                   z[NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX, 2 * NEIGHBOUR_STEP_PX :])
+    up, down = (z[: -2 * NEIGHBOUR_STEP_PX, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX],
+                z[2 * NEIGHBOUR_STEP_PX :, NEIGHBOUR_STEP_PX:-NEIGHBOUR_STEP_PX])
     with np.errstate(invalid="ignore"):
-        smooth = np.abs(left + right - 2 * middle) < BEND * middle  # a step to one side only is an edge
-        smooth &= np.abs(up + down - 2 * middle) < BEND * middle
-        smooth &= (np.abs(left - right) < 2 * NEIGHBOURS * middle) & (np.abs(up - down) < 2 * NEIGHBOURS * middle)
+        smooth = np.abs(left + right - 2 * middle) < LARGEST_DEPTH_BEND * middle  # a step to one side only is an edge
+        smooth &= np.abs(up + down - 2 * middle) < LARGEST_DEPTH_BEND * middle
+        smooth &= ((np.abs(left - right) < 2 * LARGEST_DEPTH_STEP * middle)
+                   & (np.abs(up - down) < 2 * LARGEST_DEPTH_STEP * middle))
     rows, columns = np.nonzero(smooth)
-    chosen = np.random.default_rng(4).permutation(rows.size)[:POINTS]
-    return Points(rows[chosen] + STEP, columns[chosen] + STEP)
+    chosen = np.random.default_rng(4).permutation(rows.size)[:FITTED_POINTS]
+    return Points(rows[chosen] + NEIGHBOUR_STEP_PX, columns[chosen] + NEIGHBOUR_STEP_PX)
 
 
 def normals_of_depth(frame: Frame, fov_x: float, points: Points) -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +124,8 @@ def normals_of_depth(frame: Frame, fov_x: float, points: Points) -> tuple[np.nda
         result: np.ndarray = rays(frame, fov_x, rows, columns) * z[rows, columns][:, None]
         return result
 
-    normal = np.cross(place(0, STEP) - place(0, -STEP), place(STEP, 0) - place(-STEP, 0))
+    normal = np.cross(place(0, NEIGHBOUR_STEP_PX) - place(0, -NEIGHBOUR_STEP_PX),
+                      place(NEIGHBOUR_STEP_PX, 0) - place(-NEIGHBOUR_STEP_PX, 0))
     normal /= np.maximum(lengths_of(normal), 1e-30)[..., None]
     ray = rays(frame, fov_x, points.rows, points.columns)
     towards = -dots(normal, ray) / lengths_of(ray)
@@ -180,7 +191,7 @@ def fit_rotation(frame: Frame, views: Sequence[float] = ()) -> Fit | None:
     points = smooth_points(frame[Role.DEPTH])
     stored = unit_normals(frame, points)
     there = stored.any(-1)
-    if there.sum() < LEAST_POINTS:
+    if there.sum() < FEWEST_FITTED_POINTS:
         return None
     points, stored = Points(points.rows[there], points.columns[there]), stored[there]
     views = views or ((frame.fov_x,) if frame.fov_x else LIKELY_FOV)
@@ -231,7 +242,7 @@ def explain_by_camera(frame: Frame, fit: Fit) -> np.ndarray | None:
     Where one plane fills the picture, the best fit may be turned about that plane's normal.
     """
     found = {angle_by(frame, fit.fov_x, matrix): matrix for matrix in world_axes(frame)}
-    return found[min(found)] if found and min(found) < fit.angle + SAME_AXES else None
+    return found[min(found)] if found and min(found) < fit.angle + SAME_AXES_DEGREES else None
 
 
 def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
@@ -239,7 +250,7 @@ def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
     if now.fov_x is None or before.fov_x is None or Role.DEPTH not in now or Role.MOTION not in now:
         return None
     points, (width, height) = smooth_points(now[Role.DEPTH]), (now.spec.width, now.spec.height)
-    if now.world_to_camera is None or before.world_to_camera is None or points.rows.size < LEAST_POINTS:
+    if now.world_to_camera is None or before.world_to_camera is None or points.rows.size < FEWEST_FITTED_POINTS:
         return None
     try:
         clip = _world_to_clip(now, now.world_to_camera, now.fov_x)
@@ -263,7 +274,7 @@ def fit_depth_scale(before: Frame, now: Frame) -> DepthScale | None:
     factor = float(np.vdot(camera, stored) / max(float(np.vdot(camera, camera)), 1e-12))
     as_it_is, rest = error(1.0), _typical_length(factor * camera - stored)
     length = max(_typical_length(stored), _typical_length(camera))
-    scale = 1.0 if as_it_is < RIGHT * length else float(min(DEPTH_SCALES, key=error))
+    scale = 1.0 if as_it_is < RIGHT_SCALE_ERROR * length else float(min(DEPTH_SCALES, key=error))
     return DepthScale(scale, error(scale), as_it_is, length, factor, rest)
 
 
@@ -309,7 +320,7 @@ def _unscale(near: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     return lambda d, cosine: near + d * (1 - near)
 
 
-DEPTH_KINDS = (
+DEPTH_VARIANTS = (
     DepthKind("", "depth along the view axis", "", "", lambda d, cosine: d),
     DepthKind("depth-ray", "distance from the eye", "ray distance was written instead of depth along the view axis",
               "multiply by the cosine between ray and axis, or give --depth ray,fov=DEGREES (in a profile "
@@ -334,7 +345,7 @@ def fit_depth_kinds(frame: Frame) -> dict[DepthKind, Fit]:
     """How well normals agree with each kind of depth that can be tried; empty without normals or enough surfaces."""
     if Role.DEPTH not in frame or Role.NORMAL not in frame:
         return {}
-    kinds = [kind for kind in DEPTH_KINDS if not kind.in_unit or _within_one(frame)]
+    kinds = [kind for kind in DEPTH_VARIANTS if not kind.in_unit or _within_one(frame)]
     fits = {kind: _fit_depth_kind(frame, kind) for kind in kinds}
     return {kind: fit for kind, fit in fits.items() if fit}
 
@@ -367,7 +378,8 @@ def _reread(frame: Frame, kind: DepthKind, fov_x: float | None) -> Frame:
 
 Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
-LEAST_F0, MOST_F0 = 0.015, 1.0
+LEAST_F0 = 0.015
+MOST_F0 = 1.0
 LEAST_PIXELS = 150
 LEAST_ERROR = 2e-4
 FOLLOWS_ANGLE = 0.5

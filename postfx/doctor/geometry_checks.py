@@ -13,7 +13,8 @@ from postfx.colour.displays import srgb_decode
 from postfx.doctor import Finding, correlation, error, finite, info, largest, noise_level, percent, warning
 from postfx.doctor.geometry import (
     CAMERA_AXES,
-    DEPTH_KINDS,
+    DEPTH_VARIANTS,
+    SAME_AXES_DEGREES,
     DepthKind,
     Fit,
     are_scaled,
@@ -35,8 +36,12 @@ from postfx.doctor.material import Material
 from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.sampling import local_mean
 
-CLEARLY_OFF, WELL = 1.5, 5.0  # degrees between the normals of depth and the stored ones
-MUCH_BETTER, FOV_EXPLAINS = 0.4, 0.5
+# Degrees between the normals of depth and the stored ones
+CLEARLY_OFF = 1.5
+WELL = 5.0
+
+MUCH_BETTER = 0.4
+FOV_EXPLAINS = 0.5
 FAR_AWAY = 50.0
 ANY_FOV = tuple(range(20, 122, 2))
 
@@ -83,11 +88,11 @@ def check_depth_kind(material: Material) -> Iterator[Finding]:
     if Role.DEPTH not in frame or is_unsigned(frame):
         return
     fits = fit_depth_kinds(frame)
-    if DEPTH_KINDS[0] not in fits:
+    if DEPTH_VARIANTS[0] not in fits:
         yield info(Role.DEPTH, "depth-untested", "depth may be planar, ray distance or reversed: not tested",
                    "it needs normals and some hundred pixels of smooth surfaces", "look at its picture (--pictures)")
         return
-    stored = fits[DEPTH_KINDS[0]].angle
+    stored = fits[DEPTH_VARIANTS[0]].angle
     kind = min(fits, key=lambda kind: fits[kind].angle)
     other = fit_rotation(frame, ANY_FOV) if frame.fov_x and stored >= CLEARLY_OFF else None
     other = other if other and other.angle < FOV_EXPLAINS * fits[kind].angle else None
@@ -102,16 +107,23 @@ def check_depth_kind(material: Material) -> Iterator[Finding]:
         yield error(Role.DEPTH, kind.code, _facing(best, stored, kind), kind.cause, kind.fix)
 
 
-def _facing(fit: Fit, stored: float, kind: DepthKind = DEPTH_KINDS[0]) -> str:
+def _facing(fit: Fit, stored: float, kind: DepthKind = DEPTH_VARIANTS[0]) -> str:
     return (f"surfaces face within {fit.angle:.2g} degrees of their normals if depth is {kind.name} and the field of "
             f"view {fit.fov_x:.4g} degrees; {stored:.3g} degrees as it is")
 
 
-SAME_AXES = 3.0  # degrees
 DEPTH_EXPLAINS = 4.0
-FEW_POINTS, FEW_MIXED = 500, 4.0  # the second in percent
-LEAST_MOVE, RIGHT_MOTION = 0.1, 0.1  # pixels, part of the motion
-AGREES, DIFFERS = np.cos(np.radians(5)), np.cos(np.radians(15))
+
+# Points, and percent of mixed ones
+FEW_POINTS = 500
+FEW_MIXED = 4.0
+
+# Pixels, part of the motion
+LEAST_MOTION_PX = 0.1
+RIGHT_MOTION_ERROR = 0.1
+
+AGREES = np.cos(np.radians(5))
+DIFFERS = np.cos(np.radians(15))
 _FLIPS = [np.diag(signs) for signs in product((-1.0, 1.0), repeat=3)]
 
 
@@ -159,15 +171,15 @@ def check_normal_space(material: Material) -> Iterator[Finding]:
     off = _turn(fit.matrix, world)
     evidence = (f"normals are turned by {off:.3g} degrees from the world of worldToCamera, "
                 f"by {camera:.2g} degrees from the camera's axes")
-    if camera < SAME_AXES:
+    if camera < SAME_AXES_DEGREES:
         yield error(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space",
                     "write world normals, or in a profile space = \"camera\"")
-    elif (inverted := min(_turn(fit.matrix, -matrix) for matrix in world_axes(frame))) < SAME_AXES:
+    elif (inverted := min(_turn(fit.matrix, -matrix) for matrix in world_axes(frame))) < SAME_AXES_DEGREES:
         evidence = f"negated, they are within {inverted:.2g} degrees of the normals that depth and camera give"
         yield error(Role.NORMAL, "normal-inverted", evidence, "normals point away from the viewer",
                     "negate them, in a profile scale = [-1, -1, -1]")
     elif not _is_right(material) and min(
-            _turn(fit.matrix, axes @ frame.world_to_camera[:3, :3]) for axes in CAMERA_AXES) < SAME_AXES:
+            _turn(fit.matrix, axes @ frame.world_to_camera[:3, :3]) for axes in CAMERA_AXES) < SAME_AXES_DEGREES:
         yield error("sequence", "matrix-transposed", evidence, "worldToCamera stored for column vectors, or inverted",
                     "store it for row vectors (p_camera = p_world M)")
     elif (other := _other_axes(frame, fit)) is not None:
@@ -218,8 +230,8 @@ def check_normal_facing(material: Material) -> Iterator[Finding]:
 
 def _is_right(material: Material) -> bool:
     """Whether worldToCamera explains the stored motion: a transposed matrix may explain normals with other axes."""
-    fits = [fit for pair in material.pairs if (fit := fit_depth_scale(*pair)) and fit.length > LEAST_MOVE]
-    return bool(fits) and all(fit.error_as_it_is < RIGHT_MOTION * fit.length for fit in fits)
+    fits = [fit for pair in material.pairs if (fit := fit_depth_scale(*pair)) and fit.length > LEAST_MOTION_PX]
+    return bool(fits) and all(fit.error_as_it_is < RIGHT_MOTION_ERROR * fit.length for fit in fits)
 
 
 def _other_axes(frame: Frame, fit: Fit) -> tuple[str, float] | None:
@@ -232,11 +244,11 @@ def _other_axes(frame: Frame, fit: Fit) -> tuple[str, float] | None:
             found.append((angle, ", ".join(("-" if sign < 0 else "") + "xyz"[axis]
                                            for axis, sign in zip(order, signs, strict=True))))
     angle, name = min(found)
-    return (f"channels in the order {name}", angle) if angle < SAME_AXES else None
+    return (f"channels in the order {name}", angle) if angle < SAME_AXES_DEGREES else None
 
 
 def _without_matrix(camera: float) -> Iterator[Finding]:
-    if camera < SAME_AXES:
+    if camera < SAME_AXES_DEGREES:
         evidence = f"normals are within {camera:.2g} degrees of the camera's axes; certain only with worldToCamera"
         yield warning(Role.NORMAL, "normal-camera-space", evidence, "normals are in camera space, or the camera looks "
                       "along an axis of the world and stands still", "write world normals and a worldToCamera header")
@@ -248,12 +260,14 @@ def _turn(one: np.ndarray, other: np.ndarray) -> float:
     return 2 * float(np.degrees(np.arcsin(min(sine, 1.0))))
 
 
-ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+SURFACE_ALBEDOS = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 NOISY_ALBEDO = 0.012
 MOST_ABOVE = 5.0  # percent of the pixels
-BRIGHT = 0.5
+BRIGHT_ALBEDO = 0.5
 SAME_NOISE = 0.5
-LEAST_SQUARES, TOO_STEEP, SWAPPED = 20, 1.2, -0.2
+FEWEST_LIT_SQUARES = 20
+TOO_STEEP = 1.2
+SWAPPED = -0.2
 ENCODED_DARK = 0.2
 """Largest channel of the darkest albedos (2nd percentile): a dark albedo of 0.04 is encoded as 0.22."""
 MUCH_TOO_BRIGHT = 0.3  # percent
@@ -261,7 +275,7 @@ MUCH_TOO_BRIGHT = 0.3  # percent
 
 def check_albedo_above_one(material: Material) -> Iterator[Finding]:
     """Reflectance above 1: more light leaves than arrives."""
-    for role in ALBEDOS:
+    for role in SURFACE_ALBEDOS:
         if role not in material.middle:
             continue
         plane = finite(material.middle[role]).max(2)
@@ -276,7 +290,7 @@ def check_albedo_above_one(material: Material) -> Iterator[Finding]:
 
 def check_albedo_noisy(material: Material) -> Iterator[Finding]:
     """Noise in flat areas of an albedo."""
-    for role in ALBEDOS:
+    for role in SURFACE_ALBEDOS:
         if role not in material.middle:
             continue
         plane = _reflectance(material.middle[role])
@@ -314,7 +328,7 @@ def check_albedo_encoded(material: Material) -> Iterator[Finding]:
     contrast, tint = measure_slopes(frames)
     words = ("textures change colour {:.2f} times as much as the albedo (logarithms, upper quartile of {} squares), "
              "where at most 1 is possible")
-    if contrast and contrast.squares >= LEAST_SQUARES and contrast.upper > TOO_STEEP:
+    if contrast and contrast.squares >= FEWEST_LIT_SQUARES and contrast.upper > TOO_STEEP:
         evidence = words.format(contrast.upper, contrast.squares)
         if darkest > ENCODED_DARK:
             yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded", f"{evidence}; and its darkest area is {darkest:.2f}",
@@ -327,7 +341,7 @@ def check_albedo_encoded(material: Material) -> Iterator[Finding]:
         yield warning(Role.DIFFUSE_ALBEDO, "albedo-encoded", f"nothing is darker than {darkest:.2f}, and {share:.3g} % "
                       "of the pixels reflect more than 1.03 in sum; decoded from sRGB, nearly none do",
                       "albedo stored with the sRGB curve, as a picture", "write it linear")
-    if tint and tint.squares >= LEAST_SQUARES and tint.median < SWAPPED and tint.upper < 0:
+    if tint and tint.squares >= FEWEST_LIT_SQUARES and tint.median < SWAPPED and tint.upper < 0:
         yield warning(Role.DIFFUSE_ALBEDO, "albedo-channels", f"where the albedo turns red, colour turns blue (slope "
                       f"{tint.median:.2f}, {tint.squares} squares)", "channels in the order B, G, R, of albedo or of "
                       "colour", 'swap them, in a profile channels = ["BGR"]')
@@ -353,15 +367,16 @@ def _shared_noise(frame: Frame, albedo: np.ndarray) -> float:
 
 def check_bright_metal(material: Material) -> Iterator[Finding]:
     """Diffuse and specular albedo bright in the same pixels: together they reflect more light than arrives."""
-    if not all(role in material.middle for role in ALBEDOS):
+    if not all(role in material.middle for role in SURFACE_ALBEDOS):
         return
-    diffuse, specular = (finite(material.middle[role]) for role in ALBEDOS)
-    metal = specular.max(2) > BRIGHT
+    diffuse, specular = (finite(material.middle[role]) for role in SURFACE_ALBEDOS)
+    metal = specular.max(2) > BRIGHT_ALBEDO
     bright = metal & ((diffuse + specular).max(2) > 1.05)
     share, of_metal = percent(bright), 100 * bright.sum() / max(metal.sum(), 1)
     if share > 0.05 and of_metal > 30:
-        evidence = (f"{share:.3g} % of the pixels ({of_metal:.0f} % of those with specular albedo above {BRIGHT}) "
-                    f"reflect more than 1.05 in sum, {(diffuse + specular).max(2)[bright].mean():.3g} in the mean")
+        evidence = (f"{share:.3g} % of the pixels ({of_metal:.0f} % of those with specular albedo above "
+                    f"{BRIGHT_ALBEDO}) reflect more than 1.05 in sum, {(diffuse + specular).max(2)[bright].mean():.3g} "
+                    "in the mean")
         yield warning(Role.DIFFUSE_ALBEDO, "metal-diffuse-bright", evidence, "base colour written as diffuse albedo of "
                       "metals too", "diffuse albedo = base colour x (1 - metallic); metals' colour is specular albedo")
 
@@ -401,15 +416,18 @@ def check_roughness_kind(material: Material) -> Iterator[Finding]:
 # their colours equals the ratio of their albedos, or is smaller where a gloss adds light: the slope between the
 # logarithms is at most 1. An albedo stored with a display curve has too little contrast, which doubles the slope or so.
 
-SIDE = 8
+SQUARE_SIDE_PX = 8
 LEAST_RATIO = 0.2
 """Least logarithm of the ratio of the two thirds' albedos."""
 FIREFLY = 4.0
 """Colour is cut off at this many times the median of its square."""
-DARK = 0.02
+DARK_SQUARE_RATIO = 0.02
 """Squares whose median is below this part of the picture's mean are too noisy to use."""
-ALIGNED, FLAT = 0.97, 1.15
-"""On one surface the mean normal is at least this long, and the ratio of depths is at most this large."""
+
+# On one surface the mean normal is at least this long, and the ratio of depths is at most this
+# large.
+ALIGNED_NORMAL_LENGTH = 0.97
+FLAT_DEPTH_RATIO = 1.15
 
 
 class Slopes(NamedTuple):
@@ -428,7 +446,7 @@ def measure_slopes(frames: Sequence[Frame]) -> tuple[Slopes | None, Slopes | Non
     """
     brightness, tint = [], []
     for frame in frames:
-        if min(frame.spec.width, frame.spec.height) < SIDE:
+        if min(frame.spec.width, frame.spec.height) < SQUARE_SIDE_PX:
             continue
         squares = _one_surface(frame)
         colour, albedo = (_squares(np.maximum(finite(frame[role]), 0))[squares]
@@ -436,7 +454,7 @@ def measure_slopes(frames: Sequence[Frame]) -> tuple[Slopes | None, Slopes | Non
         if not len(colour):
             continue
         middle = np.median(colour, axis=1, keepdims=True)
-        lit = (middle[:, 0] > DARK * colour.mean()).all(1)
+        lit = (middle[:, 0] > DARK_SQUARE_RATIO * colour.mean()).all(1)
         colour, albedo = np.minimum(colour, FIREFLY * middle)[lit], albedo[lit]
         brightness.append(_ratios(colour.sum(-1), albedo.sum(-1), albedo.sum(-1)))
         key = np.log((albedo[..., 0] + 1e-3) / (albedo[..., 2] + 1e-3))
@@ -449,22 +467,23 @@ def measure_slopes(frames: Sequence[Frame]) -> tuple[Slopes | None, Slopes | Non
 
 def _one_surface(frame: Frame) -> np.ndarray:
     """(squares,): whether normals agree and depth hardly changes."""
-    found = np.ones(frame.spec.height // SIDE * (frame.spec.width // SIDE), bool)
+    found = np.ones(frame.spec.height // SQUARE_SIDE_PX * (frame.spec.width // SQUARE_SIDE_PX), bool)
     if Role.NORMAL in frame:
         normals = _squares(finite(frame[Role.NORMAL]))
         mean = np.linalg.norm(normals.mean(1), axis=-1)
-        found &= (mean > ALIGNED * np.linalg.norm(normals, axis=-1).mean(1)) & (mean > 0.3)
+        found &= (mean > ALIGNED_NORMAL_LENGTH * np.linalg.norm(normals, axis=-1).mean(1)) & (mean > 0.3)
     if Role.DEPTH in frame:
         depth = _squares(np.where(is_hit(frame[Role.DEPTH])[..., None], frame[Role.DEPTH], np.inf))[..., 0]
-        found &= np.isfinite(depth).all(1) & (depth.max(1) < FLAT * depth.min(1))
+        found &= np.isfinite(depth).all(1) & (depth.max(1) < FLAT_DEPTH_RATIO * depth.min(1))
     return found
 
 
 def _squares(plane: np.ndarray) -> np.ndarray:
     """Whole squares (count, 64, C) of a plane (height, width, C)."""
-    rows, columns = plane.shape[0] // SIDE, plane.shape[1] // SIDE
-    cut = plane[: rows * SIDE, : columns * SIDE].reshape(rows, SIDE, columns, SIDE, -1)
-    return cut.swapaxes(1, 2).reshape(rows * columns, SIDE * SIDE, -1)
+    rows, columns = plane.shape[0] // SQUARE_SIDE_PX, plane.shape[1] // SQUARE_SIDE_PX
+    cut = plane[: rows * SQUARE_SIDE_PX, : columns * SQUARE_SIDE_PX].reshape(rows, SQUARE_SIDE_PX, columns,
+                                                                             SQUARE_SIDE_PX, -1)
+    return cut.swapaxes(1, 2).reshape(rows * columns, SQUARE_SIDE_PX * SQUARE_SIDE_PX, -1)
 
 
 def _ratios(colour: np.ndarray, albedo: np.ndarray, key: np.ndarray) -> np.ndarray:
@@ -472,7 +491,7 @@ def _ratios(colour: np.ndarray, albedo: np.ndarray, key: np.ndarray) -> np.ndarr
 
     All arguments are (squares, 64).
     """
-    order, third = np.argsort(key, axis=1), SIDE * SIDE // 3
+    order, third = np.argsort(key, axis=1), SQUARE_SIDE_PX * SQUARE_SIDE_PX // 3
     parts = order[:, -third:], order[:, :third]
     means = [[np.take_along_axis(plane, part, 1).mean(1) for part in parts] for plane in (colour, albedo)]
     return np.stack([np.log((most + least_value) / (least + least_value))

@@ -238,8 +238,10 @@ def _header(frame: Frame) -> dict[str, Any]:
 
 # One picture for each plane: values that are not finite are magenta.
 
-MAGENTA, RED, MISS = (255, 0, 255), (255, 0, 0), (24, 24, 96)
-BRIGHTEST = 99  # percentile
+MAGENTA_RGB = (255, 0, 255)
+RED_RGB = (255, 0, 0)
+MISS_RGB = (24, 24, 96)
+BRIGHTEST_PERCENTILE = 99  # percentile
 SHEET_SIDE = 480
 """Pixels of the longer side of a picture in a contact sheet."""
 
@@ -272,11 +274,11 @@ def picture(plane: np.ndarray, role: Role) -> np.ndarray:
     pixels = np.rint(255 * np.clip(shown, 0, 1)).astype(np.uint8)
     pixels = np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
     if role is Role.DEPTH:
-        pixels[~is_hit(plane)] = MISS
+        pixels[~is_hit(plane)] = MISS_RGB
     if role in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO):
-        pixels[(finite(plane) > 1.001).any(2)] = RED
+        pixels[(finite(plane) > 1.001).any(2)] = RED_RGB
     broken = np.isnan(plane).any(2) if role is Role.DEPTH else ~np.isfinite(plane).all(2)
-    pixels[broken] = MAGENTA
+    pixels[broken] = MAGENTA_RGB
     return pixels
 
 
@@ -307,7 +309,7 @@ def _near(plane: np.ndarray) -> np.ndarray:
     if not hit.any():
         return np.zeros_like(plane)
     inverse = 1 / np.where(hit[..., None], np.maximum(plane, 1e-6), np.inf)
-    low, high = np.percentile(inverse[hit], (1, BRIGHTEST))
+    low, high = np.percentile(inverse[hit], (1, BRIGHTEST_PERCENTILE))
     result: np.ndarray = 0.08 + 0.92 * (inverse - low) / max(high - low, 1e-12)
     return result
 
@@ -317,7 +319,7 @@ def _direction(plane: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(plane, axis=2, keepdims=True)
     hue = np.arctan2(plane[..., 1], plane[..., 0])[..., None] / (2 * np.pi) * 6
     colour = np.clip(np.abs((hue + (0, 4, 2)) % 6 - 3) - 1, 0, 1)
-    result: np.ndarray = colour * length / max(float(np.percentile(length, BRIGHTEST)), 1e-6)
+    result: np.ndarray = colour * length / max(float(np.percentile(length, BRIGHTEST_PERCENTILE)), 1e-6)
     return result
 
 

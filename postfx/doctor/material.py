@@ -23,7 +23,7 @@ from postfx.io.layout import GuideLayout, Layout, Match
 from postfx.io.profile import PlaneRule
 from postfx.io.sequence import Sequence
 
-MOST_PAIRS = 7
+MOST_HELD_PAIRS = 7
 
 
 @dataclass
@@ -86,7 +86,7 @@ class Material:
     @cached_property
     def pair_scores(self) -> list[PairScores]:
         """Scores of the motion's variants for each pair that has motion and contrast."""
-        return [warped for pair in self.pairs[:MOST_PAIRS] if (warped := warp_pair(*pair, self.whole))]
+        return [warped for pair in self.pairs[:MOST_HELD_PAIRS] if (warped := warp_pair(*pair, self.whole))]
 
     @cached_property
     def shots(self) -> list[PairScores]:
@@ -106,7 +106,9 @@ class Material:
         return explain_by_camera(self.middle, self.fit) if self.fit else None
 
 
-MOST_FRAMES, MOST_PIXELS, MOST_SPREAD = 8, 8_000_000, 8
+MOST_HELD_FRAMES = 8
+MOST_HELD_PIXELS = 8_000_000
+MOST_SPREAD = 8
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,7 @@ def read_material(sequence: Sequence) -> Reading:
         unread = {layer: [pixels] for layer, pixels in _read_pairs(files).items()}
         names = {layer: _letters(channels) for layer, channels in files.unread_motion().items()}
     material = Material(frames, {}, layout.hints(), other_layers=others)
-    most = max(2, min(MOST_FRAMES, MOST_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
+    most = max(2, min(MOST_HELD_FRAMES, MOST_HELD_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
     ranges = [_ranges(frames[0])]
     numbers = _consecutive(sequence, most)
     rest = [number for number in sequence.numbers if number not in numbers and number in sequence.present()]
@@ -228,7 +230,7 @@ def _change(match: Match, changes: dict[str, Any]) -> Match:
     return match._replace(rule=replace(match.rule, **changes))
 
 
-SHOWN = 3
+MOST_NAMED_FRAMES = 3
 
 
 def explain_roles(reading: Reading) -> dict[str, dict[str, Any]]:
@@ -290,4 +292,5 @@ def _why_not(layout: Layout, role: Role) -> str:
 
 def _list(names: list[str], layer: str) -> str:
     shown = [f"'{name.replace('{layer}', layer)}'" for name in dict.fromkeys(names)]
-    return ", ".join(shown[:SHOWN]) + (f" and {len(shown) - SHOWN} more" if len(shown) > SHOWN else "")
+    return ", ".join(shown[:MOST_NAMED_FRAMES]) + (f" and {len(shown) - MOST_NAMED_FRAMES} more"
+                                                   if len(shown) > MOST_NAMED_FRAMES else "")

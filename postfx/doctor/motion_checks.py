@@ -14,7 +14,7 @@ from postfx.doctor.geometry import DepthScale, fit_depth_scale, motion_of_camera
 from postfx.doctor.material import Material
 from postfx.doctor.motion_convention import measure_convention
 from postfx.doctor.motion_variants import (
-    RELATED,
+    RELATED_SCORE_RATIO,
     VARIANTS,
     PairScores,
     Variant,
@@ -26,12 +26,19 @@ from postfx.frame import Frame, Role
 from postfx.repeats import ONE_SEED, RepeatDetector
 from postfx.sampling import local_mean
 
-BETTER, BETTER_BY_JITTER, BETTER_THAN_NONE = 0.85, 0.95, 0.65
-"""Another variant must score below this part of the stored motion's score."""
+# Another variant must score below this part of the stored motion's score.
+BETTER_SCORE_RATIO = 0.85
+BETTER_BY_JITTER = 0.95
+BETTER_THAN_NONE = 0.65
+
 MOST_PAIRS_AGREE = 0.75
-TELLING = 0.05  # misfit, in units of what one pixel costs: below, motion is right
-ALIKE, LIKE_COLOUR = 1.03, 1.15
-"""Scores up to this many times the best one count as equal; the second holds for a colour if motion lies in 0..1."""
+TELLING_MISFIT = 0.05  # misfit, in units of what one pixel costs: below, motion is right
+
+# Scores up to this many times the best one count as equal; the second holds for a colour if
+# motion lies in 0..1.
+ALIKE_SCORE_RATIO = 1.03
+LIKE_COLOUR = 1.15
+
 SEARCHED = 12  # pixels each way
 CLEARLY_MOVED = 0.75
 LEAST_CAMERA_MOTION = 0.1  # pixels
@@ -39,9 +46,14 @@ JITTER_CODES = ("motion-jitter", "jitter-sign", "jitter-unit")
 USEFUL = 0.7
 """Right motion scores below this part of the score without motion."""
 SOME_PAIRS = 2
-LEAST_LENGTH, CAMERA_DISAGREES, SCALE_EXPLAINS = 0.2, 0.3, 0.1
-"""Least length in pixels of motion that cameras are compared with; parts of it that count as wrong, as explained."""
-PLANAR = 5.0  # degrees between the normals of depth and the stored ones, above which depth is not understood
+
+# Least length in pixels of motion that cameras are compared with; parts of it that count as
+# wrong, as explained.
+LEAST_LENGTH = 0.2
+CAMERA_DISAGREES = 0.3
+SCALE_EXPLAINS = 0.1
+
+PLANAR_DEGREES = 5.0  # degrees between the normals of depth and the stored ones, above which depth is not understood
 RIGHT_UNIT = 0.9
 LEAST_BLOCKS = 4
 NO_JITTER = 0.02  # pixels
@@ -123,7 +135,7 @@ def _by_other_means(material: Material, shots: list[PairScores]) -> Iterator[Fin
 
 def _camera_fits(material: Material, shots: list[PairScores]) -> list[DepthScale]:
     """How the cameras' motion differs from the stored motion; empty if it does not, or if depth is not understood."""
-    if material.fit and material.fit.angle > PLANAR:
+    if material.fit and material.fit.angle > PLANAR_DEGREES:
         return []
     fits = [fit for w in shots[:SOME_PAIRS] if (fit := fit_depth_scale(w.before, w.now)) and fit.length > LEAST_LENGTH]
     return fits if all(fit.error_as_it_is > CAMERA_DISAGREES * fit.length for fit in fits) else []
@@ -198,7 +210,7 @@ def _by_picture(warped: PairScores) -> str:
     offsets = list(product(range(-SEARCHED, SEARCHED + 1), repeat=2))
     scores = {at: score_offset(warped.features, np.add(at, warped.jitter)) for at in offsets}
     best = min(scores, key=lambda at: scores[at])
-    if scores[best] >= min(CLEARLY_MOVED * scores[0, 0], RELATED * warped.unrelated):
+    if scores[best] >= min(CLEARLY_MOVED * scores[0, 0], RELATED_SCORE_RATIO * warped.unrelated):
         return ""
     return (f"but the previous frame fits better ({scores[best]:.3g}, not {scores[0, 0]:.3g}) when moved by {best} "
             "pixels")
@@ -214,7 +226,7 @@ def best_variant(shots: list[PairScores]) -> Variant | None:
     if any(variant.is_colour and good[variant] <= LIKE_COLOUR * least for variant in good):
         good = {variant: ratio for variant, ratio in good.items() if variant.is_colour}
         least = min(good.values())
-    return min((v for v in good if good[v] <= ALIKE * least), key=lambda v: (v.priority, good[v]))
+    return min((v for v in good if good[v] <= ALIKE_SCORE_RATIO * least), key=lambda v: (v.priority, good[v]))
 
 
 def best_scale(shots: list[PairScores]) -> Variant | None:
@@ -227,7 +239,7 @@ def best_scale(shots: list[PairScores]) -> Variant | None:
     found = [score_variants(warped, scaled_variants()) for warped in some]
     scores = {variant: float(np.mean([one[variant] for one in found])) for variant in scaled_variants()}
     best = min(scores, key=lambda variant: scores[variant])
-    if scores[best] >= BETTER * min(stored, float(np.mean([warped.scores[still] for warped in some]))):
+    if scores[best] >= BETTER_SCORE_RATIO * min(stored, float(np.mean([warped.scores[still] for warped in some]))):
         return None
     for warped in shots:
         warped.scores |= score_variants(warped, [best])
@@ -243,9 +255,9 @@ def _ratio(shots: list[PairScores], variant: Variant) -> float:
 
 def _is_better(shots: list[PairScores], variant: Variant, ratio: float) -> bool:
     wins = np.mean([warped.scores.get(variant, np.inf) < warped.as_it_is for warped in shots])
-    least = BETTER_BY_JITTER if variant.code in JITTER_CODES else BETTER
+    least = BETTER_BY_JITTER if variant.code in JITTER_CODES else BETTER_SCORE_RATIO
     least = BETTER_THAN_NONE if variant.code == "motion-worse-than-none" else least
-    telling = np.mean([warped.as_it_is for warped in shots]) > TELLING
+    telling = np.mean([warped.as_it_is for warped in shots]) > TELLING_MISFIT
     return bool(telling and ratio < least and wins >= MOST_PAIRS_AGREE)
 
 
@@ -274,7 +286,7 @@ def _untested(material: Material) -> Iterator[Finding]:
                    "no pair of frames that belong together and show contrast", "give more frames of one shot")
 
 
-CODED = 0.2  # how far the median may be from the colour 0.5
+CODED_OFFSET = 0.2  # how far the median may be from the colour 0.5
 
 
 def check_motion_coded(material: Material) -> Iterator[Finding]:
@@ -284,17 +296,17 @@ def check_motion_coded(material: Material) -> Iterator[Finding]:
     motion = material.first[Role.MOTION].reshape(-1, 2)
     least, most, typical = motion.min(0), motion.max(0), np.abs(np.median(motion, axis=0))
     one_sign = ((least >= 0) | (most <= 0)).all()
-    is_coded = one_sign and np.abs(motion).max(initial=0) <= 1 and (np.abs(typical - 0.5) < CODED).all()
+    is_coded = one_sign and np.abs(motion).max(initial=0) <= 1 and (np.abs(typical - 0.5) < CODED_OFFSET).all()
     if is_coded and all(found.code != "motion-encoded" for found in check_motion_variant(material)):  # which says more
         evidence = f"all between 0 and 1 pixel, of one sign, around {typical[0]:.2g}, {typical[1]:.2g}"
         yield warning(Role.MOTION, "motion-coded", evidence, "colours around 0.5, not pixels", "write vectors in "
                       "pixels, or in a profile offset = [-0.5, -0.5] and their unit (docs/reference/renderers.md)")
 
 
-LEAST_MOVE = 1.0  # pixels: below, a texture that stays in place looks like noise that stays in place
+LEAST_TEXTURE_MOTION_PX = 1.0  # pixels: below, a texture that stays in place looks like noise that stays in place
 REPEATED = 0.15
-NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 2), (0, -2), (2, 0), (-2, 0))
-STEPS = (0.25, 0.125)
+NEARBY_OFFSETS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 2), (0, -2), (2, 0), (-2, 0))
+SEARCH_STEPS_PX = (0.25, 0.125)
 LEAST_JITTER = 0.12  # pixels, root mean square
 FITS_BETTER = 0.82
 JITTER_PAIRS = 5
@@ -434,13 +446,13 @@ def _correlate_repeats(before: Frame, now: Frame) -> tuple[float, float] | None:
     that moves by a pixel or two is as much alike there."""
     if min(now[Role.COLOUR].shape[:2]) < 32 or Role.MOTION not in now:
         return None
-    moves = np.linalg.norm(finite(now[Role.MOTION]), axis=-1) > LEAST_MOVE
+    moves = np.linalg.norm(finite(now[Role.MOTION]), axis=-1) > LEAST_TEXTURE_MOTION_PX
     one, other = _noise(before), _noise(now)
     used = moves & (one != 0) & (other != 0)
     used[:2] = used[-2:] = used[:, :2] = used[:, -2:] = False
     if used.sum() < 500:
         return None
-    shifted = [correlation(np.roll(one, step, (0, 1))[used], other[used]) for step in NEXT]
+    shifted = [correlation(np.roll(one, step, (0, 1))[used], other[used]) for step in NEARBY_OFFSETS]
     return correlation(one[used], other[used]), max(0.0, *shifted)
 
 
@@ -459,7 +471,7 @@ def _noise(frame: Frame) -> np.ndarray:
 def _shift(warped: PairScores) -> tuple[float, float, float]:
     """Offset (x, y) in pixels that fits best, searched from coarse to fine, and its score."""
     best = np.zeros(2)
-    for step, reach in zip(STEPS, (3, 1), strict=True):
+    for step, reach in zip(SEARCH_STEPS_PX, (3, 1), strict=True):
         steps = np.arange(-reach, reach + 1) * step
         offsets = [best + (x, y) for x in steps for y in steps]
         best = min(offsets, key=lambda offset: score_offset(warped.features, offset))

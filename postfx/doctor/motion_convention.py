@@ -19,20 +19,32 @@ from postfx.doctor.motion_variants import Feature, Size, features_of, is_like_co
 from postfx.frame import Frame, Role
 from postfx.io.profile import PlaneRule
 
-MOST_PAIRS = 3
-TELLING = 0.05
+MOST_TRIED_PAIRS = 3
+TELLING_STILL_MISFIT = 0.05
 """Least misfit without motion, in units of what one pixel costs: below, too little moves."""
 MOST_KEPT = 8  # conventions that are tried on all pairs, after the first one
-SHORTEST, LONGEST = 0.25, 128.0
-"""Lengths in pixels that are tried for the 95th percentile of the motion."""
-COARSE, FINE = 2**0.5, (2**0.25, 2**0.125, 2**0.0625, 2**0.03125)
-WIDE, NARROW = 0.17, 0.1
-"""Logarithm of the factor by which a common unit may be off, along both axes and along the axis that moves more."""
-ALIKE = 1.08
+
+# Lengths in pixels that are tried for the 95th percentile of the motion.
+SHORTEST_TRIED_PX = 0.25
+LONGEST_TRIED_PX = 128.0
+
+COARSE_FACTOR = 2**0.5
+FINE_FACTORS = (2**0.25, 2**0.125, 2**0.0625, 2**0.03125)
+
+# Logarithm of the factor by which a common unit may be off, along both axes and along the axis
+# that moves more.
+WIDE_UNIT_LOG = 0.17
+NARROW_UNIT_LOG = 0.1
+
+ALIKE_MISFIT_RATIO = 1.08
 """A common unit takes the place of the best fit if its misfit is at most this many times as large."""
-FITS, FITS_COMMON = 0.7, 0.87
-"""Motion is understood if its misfit is below this part of the misfit without motion: in any unit, in a common one."""
-_SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+
+# Motion is understood if its misfit is below this part of the misfit without motion: in any unit,
+# in a common one.
+FITTING_MISFIT_SHARE = 0.7
+FITTING_COMMON_MISFIT_SHARE = 0.87
+
+_SIGN_CHOICES = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 @dataclass(frozen=True)
@@ -117,7 +129,8 @@ class Measurement(NamedTuple):
     @property
     def fits(self) -> bool:
         """Whether the pictures move, and the convention explains how."""
-        return self.still > TELLING and self.misfit < (FITS_COMMON if self.is_common else FITS) * self.still
+        return (self.still > TELLING_STILL_MISFIT and self.misfit
+                < (FITTING_COMMON_MISFIT_SHARE if self.is_common else FITTING_MISFIT_SHARE) * self.still)
 
 
 def unit_size(unit: str, size: Size) -> tuple[float, float]:
@@ -132,7 +145,7 @@ def measure_convention(frames: Sequence[Frame], motion: UnreadMotion) -> Measure
              for frame, plane in zip(frames, motion.planes, strict=False)]
     pairs = [_Pair(before, now) for before, now in zip(shown, shown[1:], strict=False)
              if not now.reset and before.spec.width == now.spec.width and before.spec.height == now.spec.height]
-    pairs = [pair for pair in pairs if pair.features][:MOST_PAIRS]
+    pairs = [pair for pair in pairs if pair.features][:MOST_TRIED_PAIRS]
     if not pairs:
         return None
     like_colour = all(is_like_colour(pair.now) for pair in pairs)
@@ -141,10 +154,10 @@ def measure_convention(frames: Sequence[Frame], motion: UnreadMotion) -> Measure
         return None
     rough = pairs[0].scores(tried)
     best = _best(pairs, [tried[at] for at in np.argsort(rough)[:MOST_KEPT]])[0]
-    for step in FINE:
+    for step in FINE_FACTORS:
         best = _best(pairs, [best._replace(factor=best.factor * step**power) for power in (-2, -1, 0, 1, 2)])[0]
     best, misfit = _best(pairs, [best])
-    common = [one for one in _common(best, pairs[0].size) if _misfit(pairs, one) <= ALIKE * misfit]
+    common = [one for one in _common(best, pairs[0].size) if _misfit(pairs, one) <= ALIKE_MISFIT_RATIO * misfit]
     still = float(np.mean([pair.score_still() for pair in pairs]))
     chosen = common[0] if common else best._replace(factor=round_to(best.factor, 3))
     is_common = bool(common) or (chosen.offset != 0 and chosen.unit == "pixels")  # of a largest velocity
@@ -181,10 +194,10 @@ def _coarse(pairs: Sequence[_Pair], offset: float) -> list[Convention]:
     found = []
     for unit in ("pixels", "uv"):
         most = 1.0 if unit == "pixels" else (width + height) / 2
-        steps = int(np.log(LONGEST / SHORTEST) / np.log(COARSE)) + 1
-        factors = [SHORTEST / length / most * COARSE**step for step in range(steps)]
+        steps = int(np.log(LONGEST_TRIED_PX / SHORTEST_TRIED_PX) / np.log(COARSE_FACTOR)) + 1
+        factors = [SHORTEST_TRIED_PX / length / most * COARSE_FACTOR**step for step in range(steps)]
         found += [Convention(swapped, signs, unit, factor, offset)
-                  for factor in factors for swapped in (False, True) for signs in _SIGNS]
+                  for factor in factors for swapped in (False, True) for signs in _SIGN_CHOICES]
     return found
 
 
@@ -204,7 +217,8 @@ def _common(best: Convention, size: Size) -> list[Convention]:
     near = [best._replace(unit=unit, factor=factor) for unit, factor in units]
     own = np.multiply(unit_size(best.unit, size), best.factor)
     apart = [np.abs(np.log(np.multiply(unit_size(one.unit, size), one.factor) / own)) for one in near]
-    return [one for one, each in zip(near, apart, strict=True) if each.max() < WIDE or each.min() < NARROW]
+    return [one for one, each in zip(near, apart, strict=True)
+            if each.max() < WIDE_UNIT_LOG or each.min() < NARROW_UNIT_LOG]
 
 
 def round_to(value: float, digits: int = 4) -> float:

@@ -22,20 +22,23 @@ from postfx.kernels.image import compare_places
 from postfx.sampling import is_inside, local_mean
 
 Size = tuple[int, int]
-SCALES = (0.5, 2.0, 2 / 3, 1 / 3)
+PIXEL_SCALES = (0.5, 2.0, 2 / 3, 1 / 3)
 """Factors to pixels of the frame from pixels of an output twice as large, half as large, and so on."""
 
 ENCODED_SCALES = tuple(2 ** (step / 4) for step in range(8, 45))
 """Lengths in pixels that motion stored as a colour may span, in steps that the scores can tell apart."""
 
-POINTS = 1500
+COMPARED_POINTS = 1500
 CONTRASTY = 0.75
 OCCLUDED = 0.2
-LEAST_INSIDE = 0.5
-RELATED = 0.7
+LEAST_INSIDE_SHARE = 0.5
+RELATED_SCORE_RATIO = 0.7
 """Pictures have something in common when their score is below this part of the score of chance."""
-GUIDES = ((Role.DIFFUSE_ALBEDO, 1.0), (Role.SPECULAR_ALBEDO, 1.0), (Role.NORMAL, 1.0))
-DEPTH_WEIGHT, COLOUR_WEIGHT = 0.2, 0.2  # depth changes where the camera goes forward, colour is noisy
+GUIDE_WEIGHTS = ((Role.DIFFUSE_ALBEDO, 1.0), (Role.SPECULAR_ALBEDO, 1.0), (Role.NORMAL, 1.0))
+
+# Depth changes where the camera goes forward, colour is noisy
+DEPTH_WEIGHT = 0.2
+COLOUR_WEIGHT = 0.2
 
 
 @dataclass(frozen=True)
@@ -86,15 +89,15 @@ _SIGNS = {
     (1, -1): ("motion-sign-y", "negated in y"),
     (-1, -1): ("motion-sign", "negated in x and y"),
 }
-_ENCODED = "motion was stored as a colour"
-_UNITS = (
+_STORED_AS_COLOUR = "motion was stored as a colour"
+_UNIT_VARIANTS = (
     *(_Unit(f"{factor:.3g} times as long", f"pixels of a picture {1 / factor:.3g} times as large were written", factor)
-      for factor in SCALES),
+      for factor in PIXEL_SCALES),
     _Unit("as a fraction of the image (uv 0..1)", "fractions of the image were written instead of pixels", unit="uv"),
     _Unit("in -1..1 of the image (ndc)", "normalised device coordinates were written instead of pixels", unit="ndc"),
-    _Unit("in uv around 0.5, or ndc as (v + 1) / 2", _ENCODED, 1.0, "uv", -0.5, "motion-encoded"),
-    _Unit("in uv as (v + 1) / 2", _ENCODED, 2.0, "uv", -0.5, "motion-encoded"),
-    *(_Unit(f"in pixels as v / {scale:.3g} + 0.5", _ENCODED, scale, offset=-0.5, code="motion-encoded")
+    _Unit("in uv around 0.5, or ndc as (v + 1) / 2", _STORED_AS_COLOUR, 1.0, "uv", -0.5, "motion-encoded"),
+    _Unit("in uv as (v + 1) / 2", _STORED_AS_COLOUR, 2.0, "uv", -0.5, "motion-encoded"),
+    *(_Unit(f"in pixels as v / {scale:.3g} + 0.5", _STORED_AS_COLOUR, scale, offset=-0.5, code="motion-encoded")
       for scale in ENCODED_SCALES),
 )
 
@@ -158,7 +161,7 @@ _SIGN_PAIRS = tuple(_SIGNS)
 VARIANTS = (
     *(_signed(signs) for signs in _SIGN_PAIRS),
     *(_swapped(signs) for signs in _SIGN_PAIRS),
-    *(_scaled(unit, signs) for unit in _UNITS for signs in _SIGN_PAIRS),
+    *(_scaled(unit, signs) for unit in _UNIT_VARIANTS for signs in _SIGN_PAIRS),
     _jittered(-1, "motion-jitter", "without the jitter's change", "motion was taken between jittered positions",
               "compute motion with matrices that hold no jitter, or add the previous jitter minus this one's"),
     _jittered(1, "motion-jitter", "without the jitter's change, taken twice with the wrong sign",
@@ -239,7 +242,7 @@ class PairScores:
     @property
     def is_related(self) -> bool:
         """Whether any variant fits better than chance."""
-        return min(self.scores.values()) < RELATED * self.unrelated
+        return min(self.scores.values()) < RELATED_SCORE_RATIO * self.unrelated
 
 
 def warp_pair(before: Frame, now: Frame, size: Size | None = None) -> PairScores | None:
@@ -285,7 +288,7 @@ def scaled_variants() -> tuple[Variant, ...]:
 def features_of(before: Frame, now: Frame) -> list[Feature]:
     """Planes with contrast that both frames hold; the later frame has motion."""
     motion, found = now[Role.MOTION], []
-    for role, weight in (*GUIDES, (Role.DEPTH, DEPTH_WEIGHT), (Role.COLOUR, COLOUR_WEIGHT)):
+    for role, weight in (*GUIDE_WEIGHTS, (Role.DEPTH, DEPTH_WEIGHT), (Role.COLOUR, COLOUR_WEIGHT)):
         if role in before and role in now:
             feature = _feature(role, weight, prepare_plane(before, role), prepare_plane(now, role), motion)
             found += [feature] if feature else []
@@ -328,7 +331,7 @@ def _feature(role: Role, weight: float, before: np.ndarray, now: np.ndarray, mot
     rows, columns = np.nonzero(slope > max(float(np.quantile(slope, CONTRASTY)), 1e-4))
     if rows.size < 100:
         return None
-    chosen = np.random.default_rng(1).permutation(rows.size)[:POINTS]
+    chosen = np.random.default_rng(1).permutation(rows.size)[:COMPARED_POINTS]
     rows, columns = rows[chosen], columns[chosen]
     steepness, at = slope[rows, columns], (rows.astype(np.float32), columns.astype(np.float32))
     contrast = float(np.minimum(steepness, np.quantile(steepness, 0.9)).mean())
@@ -349,7 +352,7 @@ def _errors(feature: Feature, shifts: np.ndarray) -> np.ndarray:
     apart.sort(axis=1)
     kept = np.maximum(((1 - OCCLUDED) * used.sum(1)).astype(int), 1)
     sums = np.where(np.arange(apart.shape[1]) < kept[:, None], apart, 0).sum(1)
-    result: np.ndarray = np.where(inside.mean(1) < LEAST_INSIDE, np.inf, sums / kept / feature.contrast)
+    result: np.ndarray = np.where(inside.mean(1) < LEAST_INSIDE_SHARE, np.inf, sums / kept / feature.contrast)
     return result
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from postfx.colour import luminance
 from postfx.doctor import Finding, correlation, error, finite, info, largest, percent, warning
-from postfx.doctor.alignment import PLANES, compare_edges
+from postfx.doctor.alignment import ALIGNED_PLANES, compare_edges
 from postfx.doctor.geometry import is_hit
 from postfx.doctor.material import Material
 from postfx.exposure import measure
@@ -79,16 +79,24 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
         yield level(role, f"missing-{role.replace('_', '-')}", evidence, "not rendered, or named otherwise", fix)
 
 
-MANY = 50.0  # percent
+MANY_PERCENT = 50.0  # percent
 NEVER_NEGATIVE = (Role.COLOUR, Role.ALPHA, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS,
                   Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR)
 UNIFORM = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.NORMAL, Role.DEPTH, Role.ROUGHNESS)
-BLACK, MOST_LISTED = 1e-4, 8
-ENLARGED = {"repetition": (1, -1), "linear interpolation": (-0.5, 1.5, -1.5, 0.5)}
+BLACK_VALUE = 1e-4
+MOST_LISTED = 8
+ENLARGING_FILTERS = {"repetition": (1, -1), "linear interpolation": (-0.5, 1.5, -1.5, 0.5)}
 """Differences that are 0 at every other place of a plane that was enlarged to twice its size."""
-LEAST_SIDE, LEAST_ROWS, EXACT = 32, 12, 0.08
-FLIP_FITS, FLIP_LEAST = 1.5, 0.13
-OTHER_FITS, OTHER_LEAST, SHARED, MOST_OFF, LEAST_FRAMES = 1.15, 0.03, 0.12, 0.6, 3
+LEAST_SIDE = 32
+LEAST_ROWS = 12
+EXACT_ENLARGED_SHARE = 0.08
+FLIP_FITS = 1.5
+FLIP_LEAST = 0.13
+OTHER_FITS = 1.15
+OTHER_LEAST = 0.03
+SHARED_DISTANCE = 0.12
+MOST_OFF_SHARE = 0.6
+LEAST_FRAMES = 3
 IN_UNIT_RANGE = (Role.ALPHA, Role.STRENGTH, Role.REACTIVE)
 OUTSIDE_GAMUT = "light-outside"
 
@@ -103,7 +111,7 @@ def check_finite_values(material: Material) -> Iterator[Finding]:
         evidence = f"{values.nan} NaN, {infinite} infinite of {values.total} values ({share:.3g} %)"
         cause = "division by zero in a shader or light, or an AOV that was never written"
         fix = "find the material with a picture of the AOV (--pictures); values that are not finite count as 0"
-        yield (error if share > MANY else warning)(role, "not-finite", evidence, cause, fix)
+        yield (error if share > MANY_PERCENT else warning)(role, "not-finite", evidence, cause, fix)
 
 
 def check_uniform_planes(material: Material) -> Iterator[Finding]:
@@ -111,7 +119,7 @@ def check_uniform_planes(material: Material) -> Iterator[Finding]:
     for role in UNIFORM:
         frames = [frame for frame in material.frames if role in frame and _shows_surfaces(frame)]
         sizes = {frame.number: float(np.abs(finite(frame[role])).max(initial=0)) for frame in frames}
-        black = [number for number, size in sizes.items() if size < BLACK]
+        black = [number for number, size in sizes.items() if size < BLACK_VALUE]
         spread = {float(value) for frame in frames for value in _extremes(frame[role])}
         if black and role is not Role.DEPTH:
             evidence = f"0 everywhere in frame{'s' * (len(black) > 1)} {_list(black)}; {len(frames)} were examined"
@@ -134,7 +142,7 @@ def _constant(role: Role, value: str, frames: int) -> Finding:
 
 def _shows_surfaces(frame: Frame) -> bool:
     """Whether the picture is lit and its depth, if it has any, shows surfaces."""
-    lit = Role.COLOUR not in frame or float(np.abs(finite(frame[Role.COLOUR])).max(initial=0)) > BLACK
+    lit = Role.COLOUR not in frame or float(np.abs(finite(frame[Role.COLOUR])).max(initial=0)) > BLACK_VALUE
     return lit and (Role.DEPTH not in frame or percent(is_hit(frame[Role.DEPTH])) > 1 or not frame[Role.DEPTH].any())
 
 
@@ -157,7 +165,7 @@ def _list(numbers: Sequence[int]) -> str:
 
 def check_enlarged_planes(material: Material) -> Iterator[Finding]:
     """Planes of half the resolution, enlarged to the size of the others."""
-    for role in (Role.COLOUR, *PLANES):
+    for role in (Role.COLOUR, *ALIGNED_PLANES):
         if role in material.middle and (how := _enlarged_how(material.middle[role])):
             yield error(role, "half-resolution", f"1 pixel in 2 along rows and columns follows by {how}",
                         "rendered at half the resolution and enlarged", "write it at the size of the colour")
@@ -168,9 +176,9 @@ def _enlarged_how(plane: np.ndarray) -> str:
     plane = np.where(np.isfinite(plane), np.clip(plane, -1e4, 1e4), 0).astype(np.float32)
     if min(plane.shape[:2]) < LEAST_SIDE:
         return ""
-    for how, taps in ENLARGED.items():
+    for how, taps in ENLARGING_FILTERS.items():
         both_ways = (_phase_ratio(along, np.array(taps, np.float32)) for along in (plane, plane.swapaxes(0, 1)))
-        if all(ratio < EXACT for ratio in both_ways):
+        if all(ratio < EXACT_ENLARGED_SHARE for ratio in both_ways):
             return how
     return ""
 
@@ -209,8 +217,8 @@ def check_misplaced_planes(material: Material) -> Iterator[Finding]:
 def _of_other_frame(role: Role, table: np.ndarray, numbers: list[int]) -> Iterator[Finding]:
     own, other = np.diag(table), table - 2 * np.eye(len(table))
     source = other.argmax(1)
-    off = other.max(1) > np.maximum(np.maximum(OTHER_FITS * own, own + OTHER_LEAST), SHARED)
-    if off.mean() > MOST_OFF and len(set(source[off])) >= 2:
+    off = other.max(1) > np.maximum(np.maximum(OTHER_FITS * own, own + OTHER_LEAST), SHARED_DISTANCE)
+    if off.mean() > MOST_OFF_SHARE and len(set(source[off])) >= 2:
         fits = ", ".join(f"frame {numbers[source[at]]} holds frame {numbers[at]}'s" for at in np.nonzero(off)[0][:3])
         evidence = (f"by its outlines {fits} (correlation {other.max(1)[off].mean():.2f}, with its own frame's AOVs "
                     f"{own[off].mean():.2f})")
@@ -223,7 +231,7 @@ def _find_frozen(frames: Sequence[Frame]) -> list[Role]:
     if len(frames) < 2:
         return []
     pairs = list(zip(frames, frames[1:], strict=False))
-    roles = [role for role in (*PLANES, Role.COLOUR) if all(role in frame for frame in frames)]
+    roles = [role for role in (*ALIGNED_PLANES, Role.COLOUR) if all(role in frame for frame in frames)]
     still = [role for role in roles if all(np.array_equal(a[role], b[role], equal_nan=True) for a, b in pairs)
              and not _is_one_value(frames[0][role])]
     changing = [role for role in roles if role not in still and role is not Role.COLOUR
@@ -241,7 +249,7 @@ def check_negative_values(material: Material) -> Iterator[Finding]:
         lowest = float(np.nanmin(material.first[role]))
         evidence = f"{values.negative} of {values.total} values below 0 ({share:.3g} %), least {lowest:.3g}"
         cause = "a filter with negative lobes, a conversion of primaries, or an AOV of another meaning"
-        level = error if share > MANY else warning if share > 0.1 else info
+        level = error if share > MANY_PERCENT else warning if share > 0.1 else info
         yield level(role, "negative", evidence, cause, "render with a positive pixel filter, and linear Rec.709")
 
 
@@ -284,10 +292,14 @@ def check_readable_frames(material: Material) -> Iterator[Finding]:
                     "render or copy this frame again")
 
 
-LEAST_COVERAGE, LEAST_CHANGE, FEW = 0.02, 0.02, 200
+LEAST_COVERAGE = 0.02
+LEAST_CHANGE = 0.02
+FEWEST_CHANGED_PIXELS = 200
 STRAIGHT = 0.3
-MOST_NOISE = 0.2  # stops between neighbours' coverage: the noise of the colour does not hide larger steps
-NARROW, WIDE, TWICE = 2, 16, 0.4
+MOST_NOISE_STOPS = 0.2  # stops between neighbours' coverage: the noise of the colour does not hide larger steps
+NARROW_WINDOW_PX = 2
+WIDE_WINDOW_PX = 16
+TWICE = 0.4
 
 
 def check_overlay_alpha(material: Material) -> Iterator[Finding]:
@@ -309,7 +321,7 @@ def check_overlay_straight(material: Material) -> Iterator[Finding]:
     if Role.OVERLAY not in material.middle:
         return
     slope, pairs = _slope(finite(material.middle[Role.OVERLAY]))
-    if pairs >= FEW and slope < STRAIGHT:
+    if pairs >= FEWEST_CHANGED_PIXELS and slope < STRAIGHT:
         evidence = (f"where coverage doubles, colour becomes {2**slope:.2f} times as bright, not twice ({pairs} "
                     "pairs of neighbours)")
         yield warning(Role.OVERLAY, "overlay-straight", evidence, "colour that is not multiplied by alpha",
@@ -321,8 +333,8 @@ def check_alpha_straight(material: Material) -> Iterator[Finding]:
     frame = material.middle
     if not all(role in frame for role in (Role.COLOUR, Role.ALPHA)):
         return
-    slope, pairs = _slope(finite(np.concatenate([frame[Role.COLOUR], frame[Role.ALPHA]], axis=2)), MOST_NOISE)
-    if pairs >= FEW and slope < STRAIGHT:
+    slope, pairs = _slope(finite(np.concatenate([frame[Role.COLOUR], frame[Role.ALPHA]], axis=2)), MOST_NOISE_STOPS)
+    if pairs >= FEWEST_CHANGED_PIXELS and slope < STRAIGHT:
         yield warning(Role.COLOUR, "alpha-straight", f"where alpha doubles, colour becomes {2**slope:.2f} times as "
                       f"bright, not twice ({pairs} pairs of neighbours)", "colour that is not multiplied by alpha",
                       "write premultiplied colour: else edges are too bright")
@@ -337,7 +349,7 @@ def check_overlay_twice(material: Material) -> Iterator[Finding]:
     change = _detail(luminance(overlay[..., :3]) - overlay[..., 3] * np.median(light))
     used = np.abs(change) > np.percentile(np.abs(change), 80)
     shared = correlation(_detail(np.minimum(light, np.percentile(light, 90)))[used], change[used])
-    if used.sum() >= FEW and shared > TWICE:
+    if used.sum() >= FEWEST_CHANGED_PIXELS and shared > TWICE:
         yield warning(Role.OVERLAY, "overlay-twice", f"detail of the colour is {shared:.2f} correlated with what the "
                       "overlay changes", "the colour already holds the overlay, so it would appear twice",
                       "write the colour before transparents, as colour or beside it as 'opaque', or give --overlay "
@@ -373,12 +385,15 @@ def _slope(overlay: np.ndarray, least_change: float = LEAST_CHANGE) -> tuple[flo
 
 def _detail(plane: np.ndarray) -> np.ndarray:
     """Detail of medium size: without noise, which is finer, and shading, which is coarser."""
-    result: np.ndarray = local_mean(plane[..., None], NARROW) - local_mean(plane[..., None], WIDE)
+    result: np.ndarray = local_mean(plane[..., None], NARROW_WINDOW_PX) - local_mean(plane[..., None], WIDE_WINDOW_PX)
     return result
 
 
 MOST_REACTIVE = 90.0  # percent of pixels that ignore more than half of their history
-DIFFERENT, ALIKE_NEIGHBOURS = 25.0, 65.0  # percent of pixels, and of neighbours both brighter or both darker
+
+# Percent of pixels, and of neighbours both brighter or both darker
+DIFFERENT = 25.0
+ALIKE_NEIGHBOURS = 65.0
 
 
 def check_reactive_everywhere(material: Material) -> Iterator[Finding]:

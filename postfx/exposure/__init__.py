@@ -26,22 +26,28 @@ LIMITS_EV = (-40.0, 40.0)
 """Beyond them light is not finite in what follows; the darkest that is not black needs 22."""
 PERCENTILES = (2.0, 98.0)
 RANGE_EV = 9.0  # anything further below the 98th percentile counts as black
-BLACK = 2.0**-24  # mean luminance of an empty block: borders, misses; in pictures dimmer than 1, that part of theirs
-BLOCK, MOST_BLOCKS = 8, 160
-BRIGHTEN_SECONDS, DARKEN_SECONDS = 1.0, 0.4  # eyes and cameras close faster than they open
+# mean luminance of an empty block: borders, misses; in pictures dimmer than 1, that part of theirs
+BLACK_LUMINANCE = 2.0**-24
+METERED_BLOCK_PX = 8
+MOST_METERED_BLOCKS = 160
+
+# Eyes and cameras close faster than they open
+BRIGHTEN_SECONDS = 1.0
+DARKEN_SECONDS = 0.4
+
 FRAMES_PER_SECOND = 24.0
 MODES = ("auto", "lit", "metadata")
-USED = "postfx:exposureUsedEV"
+USED_EXPOSURE_ATTRIBUTE = "postfx:exposureUsedEV"
 """Header attribute with the stops that a run used, for later programs; the author's own is postfx:exposureEV."""
 APPLIED = "postfx:exposureAppliedEV"
 """The attribute's name if the pixels already include the exposure."""
 USED_FACTOR = "postfx:exposureUsed"
-"""What versions before wrote in place of `USED`: what light is multiplied by."""
+"""What versions before wrote in place of `USED_EXPOSURE_ATTRIBUTE`: what light is multiplied by."""
 
-SMOOTH = "smooth"
+SMOOTH_MODE = "smooth"
 SECONDS = 0.5
 """Standard deviation of the Gaussian weights in time."""
-REACH = 4  # standard deviations; frames further away have no weight
+REACH_DEVIATIONS = 4  # standard deviations; frames further away have no weight
 
 
 def measure(colour: np.ndarray) -> float | None:
@@ -52,12 +58,12 @@ def measure(colour: np.ndarray) -> float | None:
     as 9 stops below. The result is limited to +-40 EV.
     """
     height, width = colour.shape[:2]
-    block = max(BLOCK, math.ceil(max(height, width) / MOST_BLOCKS))
+    block = max(METERED_BLOCK_PX, math.ceil(max(height, width) / MOST_METERED_BLOCKS))
     means = block_means(colour, block)
-    if not (means > BLACK).any():
+    if not (means > BLACK_LUMINANCE).any():
         return None
     bright = float(np.percentile(means[means > 0], PERCENTILES[1]))
-    log = np.log2(means[means > BLACK * min(bright, 1.0)])  # dim pictures have dimmer blocks that count
+    log = np.log2(means[means > BLACK_LUMINANCE * min(bright, 1.0)])  # dim pictures have dimmer blocks that count
     in_order, low_at, high_at = np.sort(log), *[(log.size - 1) * (percent / 100) for percent in PERCENTILES]
     low, high = in_order[math.floor(low_at)], in_order[math.ceil(high_at)]  # members: two blocks have no inside
     inner = np.maximum(log[(log >= low) & (log <= high)], high - RANGE_EV)
@@ -70,8 +76,8 @@ class ExposureMeter:
     mode: 'auto' meters each picture and follows it smoothly in EV, slower towards brighter (1 s) than towards
     darker (0.4 s), but at once on the first frame and at cuts (`frame.reset`); a black frame keeps the shot's last
     value. 'lit' shows the light as its author made it: `frame.exposure`, or 0 if the header has none. 'metadata' is an
-    error if the header has none, unless an earlier run wrote the frame: then it takes that run's stops (`USED`).
-    A number is an EV: the multiplier is 2 ** EV.
+    error if the header has none, unless an earlier run wrote the frame: then it takes that run's stops
+    (`USED_EXPOSURE_ATTRIBUTE`). A number is an EV: the multiplier is 2 ** EV.
     """
 
     def __init__(self, mode: str | float = "auto") -> None:
@@ -160,7 +166,7 @@ def _header_factor(frame: Frame) -> float:
 
 def _factor_used(frame: Frame) -> float | None:
     """What an earlier run multiplied a frame's light by; NaN for what is no number."""
-    stops, factor = (frame.metadata.get(name) for name in (USED, USED_FACTOR))
+    stops, factor = (frame.metadata.get(name) for name in (USED_EXPOSURE_ATTRIBUTE, USED_FACTOR))
     if stops is not None:
         return factor_of_stops(stops) if isinstance(stops, int | float) else math.nan
     return factor if factor is None or isinstance(factor, int | float) else math.nan
@@ -260,7 +266,7 @@ def _smooth(ev: np.ndarray, width: float) -> list[float]:
         return [0.0] * len(ev)
     result = []
     for at in range(len(ev)):
-        near = known[abs(known - at) <= REACH * width]
+        near = known[abs(known - at) <= REACH_DEVIATIONS * width]
         if near.size < 2:  # all black here: keep the last known value
             result.append(float(ev[known[abs(known - at).argmin()]]))
             continue

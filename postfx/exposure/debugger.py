@@ -11,7 +11,7 @@ import numpy as np
 from postfx.errors import ExposureError
 from postfx.exposure import (
     SECONDS,
-    SMOOTH,
+    SMOOTH_MODE,
     ExposureMeter,
     MeterReading,
     frame_rate,
@@ -20,7 +20,7 @@ from postfx.exposure import (
     smooth_ev,
 )
 from postfx.exposure.response import (
-    VIEW,
+    VIEW_CURVE,
     Board,
     Calibration,
     Response,
@@ -33,10 +33,16 @@ from postfx.runtime import Device
 
 TOLERANCE_EV = 0.2
 """Largest mean mismatch that counts as right: below a quarter of a stop, above the meter's noise."""
-DRIFT_EV, MOVING_DRIFT_EV = 0.25, 0.5
-"""Largest drift from the darkest to the brightest frame, of a steady scene and of one that changes: exposure need not
-follow such a change fully."""
-RIGHT, DARK, BRIGHT, DRIFTING = "right", "too dark", "too bright", "drifting"
+
+# Largest drift from the darkest to the brightest frame, of a steady scene and of one that
+# changes: exposure need not follow such a change fully.
+DRIFT_EV = 0.25
+MOVING_DRIFT_EV = 0.5
+
+RIGHT_VERDICT = "right"
+DARK_VERDICT = "too dark"
+BRIGHT_VERDICT = "too bright"
+DRIFTING_VERDICT = "drifting"
 
 NEAR_EV = 0.25
 """A picture this close to mid grey needs no exposure: noise may move the meter by as much."""
@@ -109,13 +115,13 @@ class Report:
     shots: list[Shot]
     grey: float
     limits_ev: tuple[float, float]
-    curve: str = VIEW
+    curve: str = VIEW_CURVE
     remark: str | None = None
 
     @property
     def verdict(self) -> str:
         """The verdict on all shots: drifting if one drifts, else the verdict on the shot with the largest mismatch."""
-        drifting = [shot for shot in self.shots if shot.verdict == DRIFTING]
+        drifting = [shot for shot in self.shots if shot.verdict == DRIFTING_VERDICT]
         return (drifting or [max(self.shots, key=lambda shot: abs(shot.mismatch_ev))])[0].verdict
 
 
@@ -123,7 +129,7 @@ def debug(
     frames: Iterable[Frame],
     view: Sequence[Pass],
     exposure: str | float = "auto",
-    reference: str | float = SMOOTH,
+    reference: str | float = SMOOTH_MODE,
     chain: Sequence[Pass] | None = None,
     device: Device | None = None,
 ) -> Report:
@@ -147,7 +153,7 @@ def debug(
     judged = _judge_chain(view, seen, tested)
     levels = [tested.level(frame.exposure_ev, frame.reference_ev, frame.begins) for frame in told.frames]
     expected = [float(np.clip(frame.ordered_ev, *judged.response.limits_ev)) for frame in told.frames]
-    if judged.curve == VIEW:  # the view's own history is no mistake
+    if judged.curve == VIEW_CURVE:  # the view's own history is no mistake
         wanted = levels if tested is seen else [
             seen.level(frame.exposure_ev, frame.reference_ev, frame.begins) for frame in told.frames]
         expected = [judged.response.ev_of(level) for level in wanted]
@@ -159,7 +165,7 @@ def debug_graded(
     level: Callable[[int], float],
     judged: Calibration,
     exposure: str | float = "auto",
-    reference: str | float = SMOOTH,
+    reference: str | float = SMOOTH_MODE,
 ) -> Report:
     """Measure the exposure by checkerboards that another program graded.
 
@@ -180,16 +186,16 @@ def debug_graded(
 
 def judge_view(view: Sequence[Pass], device: Device | None = None) -> Calibration:
     """Compare levels with the response of a view, as if the chain were that view."""
-    return Calibration(Response.of_board(Board(view, device=device)), VIEW)
+    return Calibration(Response.of_board(Board(view, device=device)), VIEW_CURVE)
 
 
 def _judge_chain(view: Sequence[Pass], seen: Board, tested: Board) -> Calibration:
     """A chain with the view's curve is judged by the view, gain included; any other one by its own response."""
     response = Response.of_board(tested)
     if tested is seen:
-        return Calibration(response, VIEW) if is_built_in(view) else calibrate(response)
+        return Calibration(response, VIEW_CURVE) if is_built_in(view) else calibrate(response)
     shown = Response.of_board(seen)
-    return calibrate(response) if response.gain_over(shown) is None else Calibration(shown, VIEW)
+    return calibrate(response) if response.gain_over(shown) is None else Calibration(shown, VIEW_CURVE)
 
 
 class _Frame(NamedTuple):
@@ -242,7 +248,7 @@ class _Mode:
     """Stops of each frame in one of the modes."""
 
     def __init__(self, mode: str | float) -> None:
-        self._meter = None if mode == SMOOTH else ExposureMeter(mode)
+        self._meter = None if mode == SMOOTH_MODE else ExposureMeter(mode)
         self._ev: dict[int, float] = {}
 
     def see(self, frame: Frame) -> None:
@@ -264,16 +270,16 @@ def _judge(readings: Sequence[Reading]) -> Shot:
         drift_ev=float(np.ptp(mismatch)),
         level=float(np.mean([reading.level for reading in readings])),
         right_ev=float(np.mean([reading.exposure_ev - reading.mismatch_ev for reading in readings])),
-        cause=None if verdict == RIGHT else likely_cause(readings, verdict == DRIFTING),
+        cause=None if verdict == RIGHT_VERDICT else likely_cause(readings, verdict == DRIFTING_VERDICT),
     )
 
 
 def _verdict(mismatch: np.ndarray, scene_moves: float) -> str:
     if np.ptp(mismatch) > (MOVING_DRIFT_EV if scene_moves > DRIFT_EV else DRIFT_EV):
-        return DRIFTING
+        return DRIFTING_VERDICT
     if abs(mismatch.mean()) <= TOLERANCE_EV:
-        return RIGHT
-    return BRIGHT if mismatch.mean() > 0 else DARK
+        return RIGHT_VERDICT
+    return BRIGHT_VERDICT if mismatch.mean() > 0 else DARK_VERDICT
 
 
 def likely_cause(readings: Sequence[Reading], drifting: bool) -> str | None:

@@ -17,7 +17,7 @@ import OpenImageIO as oiio
 from postfx.colour.displays import SRGB
 from postfx.colour.views import luma, neutral
 from postfx.errors import ExposureError
-from postfx.exposure import KEY, USED
+from postfx.exposure import KEY, USED_EXPOSURE_ATTRIBUTE
 from postfx.frame import Frame, Role
 from postfx.io.image_file import reason_of
 from postfx.io.pattern import locate
@@ -31,17 +31,18 @@ from postfx.runtime import Device
 
 STEPS_EV = np.arange(-8.0, 8.01, 0.25)
 """Stops at which a response is sampled."""
-HEIGHT = 20 * CELLS
-FLAT = 0.02
+BOARD_HEIGHT_PX = 20 * CELLS
+FLAT_RESPONSE_DIFFERENCE = 0.02
 """A response whose levels differ by less does not show the exposure."""
-ALIKE = 0.01
+ALIKE_LEVEL_DIFFERENCE = 0.01
 """Two responses are one curve, shifted by a gain, if no level differs by more than this."""
 SAME_GAIN_EV = 0.05
 """A gain that is not worth a remark."""
 SHIFTS_EV = np.arange(-6.0, 6.001, 0.01)
-TELLING = (0.03, 0.97)
+TELLING_LEVELS = (0.03, 0.97)
 """Levels between which curves differ; near black and white all are alike."""
-OWN_CURVE, VIEW = "its own", "the view's"
+OWN_CURVE = "its own"
+VIEW_CURVE = "the view's"
 _BUILT_IN = (Display, ToneMap, View)
 
 
@@ -54,7 +55,7 @@ class Board:
 
     def __init__(self, passes: Sequence[Pass], aspect: float = 16 / 9, device: Device | None = None) -> None:
         self._reference: dict[int, float] = {}
-        self._blank = np.zeros((HEIGHT, max(round(HEIGHT * aspect), 1), 3), np.float32)
+        self._blank = np.zeros((BOARD_HEIGHT_PX, max(round(BOARD_HEIGHT_PX * aspect), 1), 3), np.float32)
         tool = ExposureTool(reference=self._reference)
         self._pipeline = Pipeline([tool, *passes], device, "metadata")
 
@@ -90,7 +91,7 @@ class Response:
 
     def __init__(self, ev: np.ndarray, levels: Iterable[float]) -> None:
         self._levels, rising = np.unique(np.maximum.accumulate([*levels]), return_index=True)
-        if np.ptp(self._levels) < FLAT:
+        if np.ptp(self._levels) < FLAT_RESPONSE_DIFFERENCE:
             raise ExposureError(f"the chain shows light of any brightness at the same level, {self._levels[0]:.0%} of "
                                 "the signal: it meters for itself: switch that off, and give it the frame's exposure")
         self._ev = ev[rising]
@@ -118,13 +119,13 @@ class Response:
 
     def gain_over(self, other: Response) -> float | None:
         """Stops by which this response is brighter than another one throughout; None if it is another curve."""
-        tells = (self._levels > TELLING[0]) & (self._levels < TELLING[1])
+        tells = (self._levels > TELLING_LEVELS[0]) & (self._levels < TELLING_LEVELS[1])
         ev, levels = self._ev[tells], self._levels[tells]
         if len(ev) < 8:
             return None
         off = [np.abs(np.interp(ev + shift, other._ev, other._levels) - levels).max() for shift in SHIFTS_EV]
         best = int(np.argmin(off))
-        return float(SHIFTS_EV[best]) if off[best] <= ALIKE else None
+        return float(SHIFTS_EV[best]) if off[best] <= ALIKE_LEVEL_DIFFERENCE else None
 
 
 def _narkowicz(light: np.ndarray) -> np.ndarray:
@@ -141,7 +142,7 @@ def _hable(light: np.ndarray) -> np.ndarray:
     return found
 
 
-_LIGHT: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+_LIGHT_OF_CURVES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "no tone curve": lambda light: light,
     "Reinhard": lambda light: light / (1 + light),
     "1 - exp(-x)": lambda light: 1 - np.exp(-light),
@@ -159,7 +160,7 @@ def known_curves() -> dict[str, Response]:
     def response_of(curve: Callable[[np.ndarray], np.ndarray], encode: Callable[[np.ndarray], np.ndarray]) -> Response:
         return Response.of_curve(lambda light: np.asarray(encode(np.clip(curve(light), 0, 1))))
 
-    return {f"{name}, {encoding}": response_of(curve, encode) for name, curve in _LIGHT.items()
+    return {f"{name}, {encoding}": response_of(curve, encode) for name, curve in _LIGHT_OF_CURVES.items()
             for encoding, encode in _ENCODINGS.items()}
 
 
@@ -168,7 +169,7 @@ class Calibration(NamedTuple):
 
     Attributes:
         response: the truth: light at the right exposure has its levels.
-        curve: whose response it is, `OWN_CURVE` or `VIEW`.
+        curve: whose response it is, `OWN_CURVE` or `VIEW_CURVE`.
         remark: what else the response shows. It never changes a verdict.
     """
 
@@ -205,10 +206,14 @@ def is_built_in(passes: Sequence[Pass]) -> bool:
 
 # Frames that were graded elsewhere
 
-STEP, CHART_HEIGHT = 16, 270
-"""Pixels of a step of the chart, and its rows."""
-UNEVEN, LEAST = 0.35, 0.01
-"""Greatest spread of a board's greys, as a part of their difference, and least difference: JPEG and dither add some."""
+# Pixels of a step of the chart, and its rows.
+CHART_STEP_PX = 16
+CHART_HEIGHT_PX = 270
+
+# Greatest spread of a board's greys, as a part of their difference, and least difference: JPEG
+# and dither add some.
+MOST_GREY_SPREAD = 0.35
+LEAST_GREY_DIFFERENCE = 0.01
 
 
 def write_chart(path: str | PathLike[str]) -> Path:
@@ -216,10 +221,10 @@ def write_chart(path: str | PathLike[str]) -> Path:
 
     Its header gives an exposure of 0 stops. Raises WriteError.
     """
-    steps = np.repeat(KEY * np.exp2(STEPS_EV), STEP).astype(np.float32)
-    colour = np.ascontiguousarray(np.broadcast_to(steps[None, :, None], (CHART_HEIGHT, steps.size, 3)))
+    steps = np.repeat(KEY * np.exp2(STEPS_EV), CHART_STEP_PX).astype(np.float32)
+    colour = np.ascontiguousarray(np.broadcast_to(steps[None, :, None], (CHART_HEIGHT_PX, steps.size, 3)))
     frame = Frame({Role.COLOUR: colour}, metadata={"postfx:exposureEV": 0.0})
-    return write_frame(path, frame, bits=32, provenance={USED: 0.0})
+    return write_frame(path, frame, bits=32, provenance={USED_EXPOSURE_ATTRIBUTE: 0.0})
 
 
 def read_response(path: str | PathLike[str]) -> Calibration:
@@ -234,7 +239,7 @@ def read_response(path: str | PathLike[str]) -> Calibration:
     columns = [slice(round(first + (last - first) / 4), round(last - (last - first) / 4))
                for first, last in zip(edges, edges[1:], strict=False)]
     steps = np.array([level[middle, column].mean() for column in columns])
-    if (np.diff(steps) < -LEAST).any():
+    if (np.diff(steps) < -LEAST_GREY_DIFFERENCE).any():
         raise ExposureError(f"{path}: gets darker where the chart gets brighter: give the chart that --chart wrote, "
                             "after the tone mapper and nothing else")
     board = (steps[:-2] + steps[2:]) / 2  # the board's greys are a quarter stop below and above
@@ -272,9 +277,10 @@ def board_level(picture: np.ndarray, name: str) -> float:
     for dark, light in halves:
         greys = float(np.median(dark)), float(np.median(light))
         spread = max(np.percentile(np.abs(half - grey), 75) for half, grey in zip((dark, light), greys, strict=True))
-        if greys[1] - greys[0] > LEAST and spread <= max(UNEVEN * (greys[1] - greys[0]), LEAST):
+        if (greys[1] - greys[0] > LEAST_GREY_DIFFERENCE
+            and spread <= max(MOST_GREY_SPREAD * (greys[1] - greys[0]), LEAST_GREY_DIFFERENCE)):
             return (greys[0] + greys[1]) / 2
-    if np.ptp(level) <= 2 * LEAST:  # all black or all white
+    if np.ptp(level) <= 2 * LEAST_GREY_DIFFERENCE:  # all black or all white
         return float(level.mean())
     raise ExposureError(f"{name}: shows no checkerboard: give the frames of 'POSTFX_EXPOSURE_TOOL=1 postfx run' "
                         "after your program, not cropped")

@@ -20,7 +20,7 @@ from postfx.errors import IntegrationError
 from postfx.exposure import measure
 from postfx.frame import DEPTH_MISS
 
-_AXES = {"+x": 0, "+y": 1, "+z": 2, "-x": 0, "-y": 1, "-z": 2}
+_SIGNED_AXES = {"+x": 0, "+y": 1, "+z": 2, "-x": 0, "-y": 1, "-z": 2}
 
 
 def perspective(
@@ -138,9 +138,9 @@ def _clip(points: np.ndarray, world_to_clip: np.ndarray) -> np.ndarray:
 
 
 def _axis(name: str) -> np.ndarray:
-    if name not in _AXES:
-        raise IntegrationError(f"axis '{name}': use {', '.join(_AXES)}")
-    result: np.ndarray = np.eye(3)[_AXES[name]] * (-1 if name[0] == "-" else 1)
+    if name not in _SIGNED_AXES:
+        raise IntegrationError(f"axis '{name}': use {', '.join(_SIGNED_AXES)}")
+    result: np.ndarray = np.eye(3)[_SIGNED_AXES[name]] * (-1 if name[0] == "-" else 1)
     return result
 
 
@@ -196,7 +196,7 @@ def exposure_of_camera(f_number: float, shutter: float, iso: float = 100.0) -> f
 OUT_OF_SIGHT = 4.0
 """Motion, in widths and heights of the picture, of points that were behind the camera: it leads far outside."""
 
-_UNITS = ("pixels", "uv", "ndc")
+_MOTION_UNITS = ("pixels", "uv", "ndc")
 
 
 def motion_from_depth(
@@ -292,8 +292,8 @@ def motion_in_pixels(
     pixels.)
     encoded: stored as 0.5 + 0.5 * value, in 0..1. IntegrationError for another unit.
     """
-    if unit not in _UNITS:
-        raise IntegrationError(f"motion unit '{unit}': use {', '.join(_UNITS)}")
+    if unit not in _MOTION_UNITS:
+        raise IntegrationError(f"motion unit '{unit}': use {', '.join(_MOTION_UNITS)}")
     motion = np.asarray(motion, np.float64)
     motion = 2 * motion - 1 if encoded else motion
     height, width = motion.shape[:2]

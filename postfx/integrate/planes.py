@@ -14,7 +14,7 @@ from postfx.files import output_file
 from postfx.frame import Frame, Role
 from postfx.io.writer import OVERLAY_LAYER
 
-CHANNELS = {
+PLANE_CHANNELS = {
     Role.COLOUR: ("R", "G", "B"),
     Role.ALPHA: ("A",),
     Role.DEPTH: ("depth.Z",),
@@ -54,9 +54,10 @@ def write_planes(path: str | PathLike[str], frame: Frame) -> Path:
     roles = [role for role in Role if role in frame]
     storage = {role: oiio.FLOAT if role in FULL_FLOAT else oiio.HALF for role in roles}
     pixels = [frame[role] if role in FULL_FLOAT else np.clip(frame[role], -_HALF_MAX, _HALF_MAX) for role in roles]
-    spec = oiio.ImageSpec(frame.spec.width, frame.spec.height, sum(len(CHANNELS[role]) for role in roles), oiio.HALF)
-    spec.channelnames = [name for role in roles for name in CHANNELS[role]]
-    spec.channelformats = [storage[role] for role in roles for _ in CHANNELS[role]]
+    spec = oiio.ImageSpec(frame.spec.width, frame.spec.height, sum(len(PLANE_CHANNELS[role]) for role in roles),
+                          oiio.HALF)
+    spec.channelnames = [name for role in roles for name in PLANE_CHANNELS[role]]
+    spec.channelformats = [storage[role] for role in roles for _ in PLANE_CHANNELS[role]]
     spec.attribute("compression", "zip")
     for name, value in frame_header(frame).items():
         _set(spec, name, value)

@@ -66,7 +66,7 @@ from postfx.planes import is_same_plane, largest_bits_of
 from postfx.system import at_once, begin
 from postfx.temporal.reverse_motion import invert_motion
 
-LIGHT = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
+MIXED_PLANES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.ROUGHNESS, Role.ALPHA)
 """Planes that are mixed from both frames, as the colour is."""
 DATA = (Role.DEPTH, Role.NORMAL, Role.SPECULAR_HIT_DISTANCE, Role.STRENGTH, Role.REACTIVE)
 """Planes that are taken from one frame's nearest pixel."""
@@ -74,15 +74,16 @@ LEAST_OF_CELLS = 64
 """Pixels along a picture's shorter side from which paths are found for cells of 2x2 pixels."""
 LEAST_SEARCHED = 240
 """Pixels along the shorter side of the picture in which motion is estimated, at least where there are as many."""
-MOST_LIGHT = np.float32(1e18)
+MOST_COUNTED_LIGHT = np.float32(1e18)
 """Light that is counted at most: sums of its squares are finite."""
-LONGEST = 64
+MOST_GROWN_PX = 64
 """Pixels by which an overlay that was found in the picture is grown, at most."""
 Three: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 OVERLAYS = ("mix", "hold")
-CAMERA = ("worldToCamera", "worldToNDC")
+CAMERA_ATTRIBUTES = ("worldToCamera", "worldToNDC")
 """Attributes of a camera, of which the first one is made for the time."""
-CUT, STILL = "another shot begins", "nothing changes"
+CUT_REASON = "another shot begins"
+STILL_REASON = "nothing changes"
 
 
 class Between:
@@ -144,9 +145,9 @@ class Between:
                  for name, view in self.before.views.items() if name in self.after.views}
         planes, parts = self._make_planes(t, previous)
         camera = camera_between(self.before.world_to_camera, self.after.world_to_camera, t)
-        metadata = {name: value for name, value in self.before.metadata.items() if name not in CAMERA}
-        if camera is not None and CAMERA[0] in self.before.metadata:
-            metadata[CAMERA[0]] = tuple(camera.ravel().tolist())
+        metadata = {name: value for name, value in self.before.metadata.items() if name not in CAMERA_ATTRIBUTES}
+        if camera is not None and CAMERA_ATTRIBUTES[0] in self.before.metadata:
+            metadata[CAMERA_ATTRIBUTES[0]] = tuple(camera.ravel().tolist())
         return replace(self.before, planes=planes, parts=parts, number=number, jitter=(0.0, 0.0), reset=False,
                        metadata=metadata, guides={}, guide_size=None, samples=None, views=views,
                        world_to_camera=camera)
@@ -173,10 +174,10 @@ class Between:
         if (one.width, one.height) != (other.width, other.height):
             return f"sizes differ: {one.width}x{one.height} and {other.width}x{other.height}"
         if is_cut or self.after.reset:
-            return CUT
+            return CUT_REASON
         planes = [role for role in (Role.COLOUR, Role.ALPHA, Role.OVERLAY) if self._both_have(role)]
         same = all(is_same_plane(self.before[role], self.after[role]) for role in planes)
-        return STILL if same else None
+        return STILL_REASON if same else None
 
     # What is found once for all times
 
@@ -288,7 +289,7 @@ class Between:
             motion = _without_lost(self.after[Role.MOTION], self._longest)
             some = _finite(motion[::4, ::4])
             size = np.abs(some[..., 0]) + np.abs(some[..., 1])
-            find_overlay(*self._pictures, motion, min(LONGEST, math.ceil(float(np.quantile(size, 0.99)))), known)
+            find_overlay(*self._pictures, motion, min(MOST_GROWN_PX, math.ceil(float(np.quantile(size, 0.99)))), known)
         return known, known
 
     @cached_property
@@ -470,7 +471,7 @@ class Between:
         shared = [name for name, part in before.parts.items()
                   if name in after.parts and part.shape == after.parts[name].shape]
         exact = [name for name in shared if name in before.part_sources and before.part_sources[name].exact]
-        light: dict[Role | str, Pair] = {role: (_finite(before[role]), _finite(after[role])) for role in LIGHT
+        light: dict[Role | str, Pair] = {role: (_finite(before[role]), _finite(after[role])) for role in MIXED_PLANES
                                          if self._both_have(role)}
         light |= {name: (_finite(before.parts[name]), _finite(after.parts[name])) for name in shared
                   if name not in exact}
@@ -580,9 +581,10 @@ def _without_lost(motion: np.ndarray, longest: np.float32) -> np.ndarray:
 
 
 def _finite(plane: np.ndarray) -> np.ndarray:
-    """The plane with 0 for what is not finite, within MOST_LIGHT; itself if all of it is and it lies in one piece."""
+    """The plane with 0 for what is not finite, within MOST_COUNTED_LIGHT; itself if all of it is and it lies in one
+    piece."""
     plane = np.ascontiguousarray(plane)
-    if largest_bits_of(plane) <= MOST_LIGHT.view(np.uint32):
+    if largest_bits_of(plane) <= MOST_COUNTED_LIGHT.view(np.uint32):
         return plane
-    found: np.ndarray = np.nan_to_num(plane, nan=0, posinf=0, neginf=0).clip(-MOST_LIGHT, MOST_LIGHT)
+    found: np.ndarray = np.nan_to_num(plane, nan=0, posinf=0, neginf=0).clip(-MOST_COUNTED_LIGHT, MOST_COUNTED_LIGHT)
     return found

@@ -25,17 +25,27 @@ LEAST = np.float32(1e-4)
 """Weight of a frame that does not show a point, so that something is there where none does."""
 LITTLE = np.float32(1e-3)
 """Weight below which a frame does not count."""
-ALIKE, UNSURE, TINY = np.float32(0.05**2), np.float32(0.2), np.float32(1e-6)
-"""Relative difference of both frames, squared, from which a path counts less beside others; what stands for it where
-only one frame shows a point; light below which nothing counts."""
-NEARER, HIDDEN = np.float32(0.1), np.float32(0.2)
-"""Relative difference in depth of two surfaces, and what is left of the share of a path that is hidden by another."""
+
+# Relative difference of both frames, squared, from which a path counts less beside others; what
+# stands for it where only one frame shows a point; light below which nothing counts.
+ALIKE = np.float32(0.05**2)
+UNSURE = np.float32(0.2)
+TINY = np.float32(1e-6)
+
+# Relative difference in depth of two surfaces, and what is left of the share of a path that is
+# hidden by another.
+NEARER = np.float32(0.1)
+HIDDEN = np.float32(0.2)
+
 CRISP = np.float32(0.97)
 """Share of detail that both frames show from which a cell keeps all of it, up to the middles of those beside: light
 does not leak over an edge."""
-ELSE, DARK = np.float32(100), np.float32(0.05)
-"""How many times as bright as in the other frame something is that only one of them shows, and the share of the middle
-light, summed over channels, that counts as dark there."""
+
+# How many times as bright as in the other frame something is that only one of them shows, and the
+# share of the middle light, summed over channels, that counts as dark there.
+ELSE = np.float32(100)
+DARK = np.float32(0.05)
+
 Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
 """A plane of both frames."""
 

@@ -30,16 +30,25 @@ OTHER = np.float32(0.3)
 """Pixels by which paths must differ to be worth a comparison."""
 BETTER = np.float32(1.5)
 """How many times as well another path must fit to be taken; one of a cell beside, by the misfit of noise more."""
-STILL, BETTER_STILL = np.float32(0.01), np.float32(4)
-"""Pixels below which a path stands still, and how much better another one must fit than that: it is compared between
-pixels, where noise is averaged."""
-UNSEEN, UNSEEN_NOISE = np.float32(0.12), np.float32(2)
-"""What stands for the misfit of a path that cannot be compared: a part that is fixed, and a multiple of the noise's."""
+
+# Pixels below which a path stands still, and how much better another one must fit than that: it
+# is compared between pixels, where noise is averaged.
+STILL = np.float32(0.01)
+BETTER_STILL = np.float32(4)
+
+# What stands for the misfit of a path that cannot be compared: a part that is fixed, and a
+# multiple of the noise's.
+UNSEEN = np.float32(0.12)
+UNSEEN_NOISE = np.float32(2)
+
 TRUSTED = np.float32(0.5)
 """Share of that misfit below which a path that was thought unseen is seen after all."""
-TWIST, EVEN = np.float32(0.15), np.float32(0.5)
-"""Change of the way from frame to frame along a pixel from which windows show different things, and pixels by which it
-may be uneven from cell to cell."""
+
+# Change of the way from frame to frame along a pixel from which windows show different things,
+# and pixels by which it may be uneven from cell to cell.
+TWIST = np.float32(0.15)
+EVEN = np.float32(0.5)
+
 BEFORE = np.float32(0.85)
 """Share of the depth of what lies behind a thing that keeps its cell if both frames show it there."""
 ONE_THING = np.float32(0.7)
@@ -50,16 +59,26 @@ APART = np.float32(0.15)
 """Misfit from which what stands still must be something else."""
 JOINED = np.float32(0.6)
 """Pixels by which paths of cells beside each other may differ for there to be others between them."""
-TURNING, SMOOTH = np.float32(3), np.float32(0.25)
-"""The same where paths change evenly from cell to cell, and how much that change itself may change."""
-RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+
+# The same where paths change evenly from cell to cell, and how much that change itself may
+# change.
+TURNING = np.float32(3)
+SMOOTH = np.float32(0.25)
+
+RED = np.float32(0.2126)
+GREEN = np.float32(0.7152)
+BLUE = np.float32(0.0722)
 LUMINANCE = np.array([RED, GREEN, BLUE])
 """Shares of channels in how bright a colour is (BT.709)."""
 TAPER = (0.25, 0.75, 1.0, 1.0, 1.0, 1.0, 0.75, 0.25)
 """Weights of the eight pixels of a row."""
-SLOPES, MOST_NOISE = np.float32((2 * ROWS - 1) * sum(TAPER)), np.float32(4)
-"""Slopes that are summed up in a window, and the square of a slope that noise makes at most, in squares of the noise:
-even noise of Gauss makes pi between pixels. What differs by more is no noise."""
+
+# Slopes that are summed up in a window, and the square of a slope that noise makes at most, in
+# squares of the noise: even noise of Gauss makes pi between pixels. What differs by more is no
+# noise.
+SLOPES = np.float32((2 * ROWS - 1) * sum(TAPER))
+MOST_NOISE = np.float32(4)
+
 COUNT = np.float32(ROWS * sum(TAPER))
 
 

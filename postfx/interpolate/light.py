@@ -16,22 +16,25 @@ from postfx.sampling import local_mean
 
 SHORTER = 96
 """Rows or columns that are looked at of a picture's shorter side."""
-CELL = 8
+BLOCK_SIDE_CELLS = 8
 """Of these along the side of a block."""
 LEAST_KNOWN = 12
 """Pixels of a block from which its ratio is known."""
 CHANGED = 0.1
 """Natural logarithm of the ratio from which light is brought to the time, in a tenth of the blocks."""
-MOST = 4.0
+MOST_CARRIED_LOG = 4.0
 """Largest logarithm that is carried on."""
-SPREAD = 0.2
+HALF_WEIGHT_SPREAD = 0.2
 """Spread of the logarithms in a block at which it counts half: a shadow that moves is no change of its light."""
-DARK = 0.02
+DARK_LIGHT_SHARE = 0.02
 """Part of the middle light: what is added to both before they are divided, and what is too dark to tell."""
-AROUND = 8
+AROUND_PX = 8
 """Pixels each way over which light around is averaged."""
-CARRIED, LEAST = 2, 1e-3
-"""Blocks over which the ratio is averaged, and the weight of the ratio of all of the picture there."""
+
+# Blocks over which the ratio is averaged, and the weight of the ratio of all of the picture
+# there.
+CARRIED_BLOCKS = 2
+WHOLE_PICTURE_WEIGHT = 1e-3
 
 
 def change_of_light(before: np.ndarray, after: np.ndarray, motion: np.ndarray | None, longest: float
@@ -47,15 +50,15 @@ def change_of_light(before: np.ndarray, after: np.ndarray, motion: np.ndarray | 
         before, after = before[step // 2::step, step // 2::step], after[step // 2::step, step // 2::step]
         motion, step = _estimated(before, after), 1
     one, other, known = _pairs(before, after, motion, step, longest)
-    dark = np.float32(DARK * middle_light((before, after)))
+    dark = np.float32(DARK_LIGHT_SHARE * middle_light((before, after)))
     known &= luminance(np.maximum(one, other)) > dark
     ratio = np.log((np.maximum(other, 0) + dark) / (np.maximum(one, 0) + dark))
-    if min(known.shape) < CELL:
+    if min(known.shape) < BLOCK_SIDE_CELLS:
         return None
     blocks, weight = _medians(ratio, known)
     if not (weight > 0).any():
         return None
-    found = _carried(blocks, weight).clip(-MOST, MOST)
+    found = _carried(blocks, weight).clip(-MOST_CARRIED_LOG, MOST_CARRIED_LOG)
     return found if np.quantile(np.abs(found.mean(-1)), 0.9) > CHANGED else None
 
 
@@ -70,7 +73,7 @@ def lit_at(before: np.ndarray, after: np.ndarray, change: np.ndarray, t: float) 
 def _estimated(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Motion of small pictures, NaN where it is not consistent, by their light in parts of that around."""
     light = [np.maximum(luminance(picture), 0)[..., None] + np.float32(1e-9) for picture in (before, after)]
-    first, last = (np.sqrt(one / (one + local_mean(one, AROUND)))[..., 0] for one in light)
+    first, last = (np.sqrt(one / (one + local_mean(one, AROUND_PX)))[..., 0] for one in light)
     _, back = consistent_motion(estimate_motion(first, last), estimate_motion(last, first))
     return back
 
@@ -91,24 +94,26 @@ def _pairs(before: np.ndarray, after: np.ndarray, motion: np.ndarray, step: int,
 
 def _medians(ratio: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Medians (rows, columns, 3) over whole blocks of known pixels, and how much each counts (rows, columns, 1)."""
-    rows, columns = known.shape[0] // CELL, known.shape[1] // CELL
-    ratio, known = ratio[:rows * CELL, :columns * CELL], known[:rows * CELL, :columns * CELL, None]
-    cells, is_known = (plane.reshape(rows, CELL, columns, CELL, -1).swapaxes(1, 2).reshape(rows, columns, CELL**2, -1)
-                       for plane in (ratio, known))
+    rows, columns = known.shape[0] // BLOCK_SIDE_CELLS, known.shape[1] // BLOCK_SIDE_CELLS
+    ratio, known = (ratio[:rows * BLOCK_SIDE_CELLS, :columns * BLOCK_SIDE_CELLS],
+                    known[:rows * BLOCK_SIDE_CELLS, :columns * BLOCK_SIDE_CELLS, None])
+    cells, is_known = (plane.reshape(rows, BLOCK_SIDE_CELLS, columns, BLOCK_SIDE_CELLS, -1).swapaxes(1, 2)
+                       .reshape(rows, columns, BLOCK_SIDE_CELLS**2, -1) for plane in (ratio, known))
     held = is_known[..., 0]
     cells = np.where(is_known, cells, np.nan)
     enough = held.sum(-1) >= LEAST_KNOWN
     cells[~enough] = 0
     middle = np.nanmedian(cells, 2)
     spread = np.nanmedian(np.abs(cells - middle[:, :, None]).mean(-1), 2)
-    weight = enough / (1 + np.square(spread / SPREAD))
+    weight = enough / (1 + np.square(spread / HALF_WEIGHT_SPREAD))
     return middle, weight[..., None]
 
 
 def _carried(blocks: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Averages over blocks around, by weight; far from those that are known, that of the whole picture."""
     whole = np.median(blocks[weight[..., 0] > weight.max() / 2], 0)
-    found: np.ndarray = (local_mean(blocks * weight, CARRIED) + LEAST * whole) / (local_mean(weight, CARRIED) + LEAST)
+    total = local_mean(weight, CARRIED_BLOCKS) + WHOLE_PICTURE_WEIGHT
+    found: np.ndarray = (local_mean(blocks * weight, CARRIED_BLOCKS) + WHOLE_PICTURE_WEIGHT * whole) / total
     return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from postfx.sampling import local_mean
 
-NEAREST = 2
+FIRST_REACH_CELLS = 2
 """Cells around a cell in which others are looked for at first: then in twice as many, again and again."""
 ENOUGH = np.float32(0.1)
 """Share of the window's cells that must be known."""
@@ -31,7 +31,7 @@ def motion_of_lost(estimated: np.ndarray, consistent: np.ndarray, is_lost: np.nd
         return found
     weight = is_known[..., None].astype(np.float32)
     known = np.where(is_known[..., None], consistent, np.float32(0))
-    radius = NEAREST
+    radius = FIRST_REACH_CELLS
     while is_open.any() and radius < 2 * max(is_lost.shape):
         share = local_mean(weight, radius)
         mean = local_mean(known, radius) / np.maximum(share, np.float32(1e-6))

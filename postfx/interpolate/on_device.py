@@ -6,8 +6,8 @@
     picture = torch.from_dlpack(between.frame(0.5)["colour"])
 
 The kernels lie beside the modules that they are the CUDA form of: paths.cu, choose.cu and blend.cu. `PUSH`, `PAIR` and
-`FRAME` list them in the order in which they run: what each frame, each two frames and each time needs. A step names a
-kernel and the buffer of each of its bindings; those of one group do not depend on each other.
+`FRAME_STEPS` list them in the order in which they run: what each frame, each two frames and each time needs. A step
+names a kernel and the buffer of each of its bindings; those of one group do not depend on each other.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from postfx.runtime import ArgumentTable, CommandBuffer, Device
 from postfx.runtime.memory import CUDA
 from postfx.runtime.tensor import Tensor
 
-NEEDED = (Role.COLOUR, Role.DEPTH, Role.MOTION)
+NEEDED_PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION)
 TAKEN = (Role.NORMAL,)
 """Planes beside these that new frames may have."""
-PARTS = 132
+SUMMING_BLOCKS = 132
 """Blocks that sum up light: as many as an H100 has multiprocessors."""
-FACTS = 9
+FACT_COUNT = 9
 """Numbers of `facts`: whether motion of the frame before is known, four that its jitter adds to the ends of a frame's
 paths, and four that both frames' jitter takes off them."""
 
@@ -41,12 +41,13 @@ def _no_rows(*_: Any) -> None:
     raise DeviceError("kernels of the interpolation on a device are written for CUDA: on the CPU use Interpolator")
 
 
-_IMAGE, _CELLS = ("height", "width"), ("rows", "columns")
-_SHAPES: dict[str, tuple[int | str, ...]] = {
+_IMAGE = ("height", "width")
+_CELLS = ("rows", "columns")
+_SHAPES_BY_KIND: dict[str, tuple[int | str, ...]] = {
     "picture": (*_IMAGE, 3), "held": (*_IMAGE, 4), "colour": (*_IMAGE, 3), "pixel_motion": (*_IMAGE, 2),
     "pixel_depth": (*_IMAGE, 1), "paths": (*_IMAGE, 4), "led": (*_IMAGE, 1), "plane": (*_IMAGE, "channels"),
-    "toned": ("tall", "wide", 1), "misfits": ("few_rows", "few_columns", 1), "sums": (PARTS,), "number": (1,),
-    "two": (2,), "facts": (FACTS,), "motion": (*_CELLS, 2), "depth": (*_CELLS, 1), "ends": (*_CELLS, 4),
+    "toned": ("tall", "wide", 1), "misfits": ("few_rows", "few_columns", 1), "sums": (SUMMING_BLOCKS,), "number": (1,),
+    "two": (2,), "facts": (FACT_COUNT,), "motion": (*_CELLS, 2), "depth": (*_CELLS, 1), "ends": (*_CELLS, 4),
     "cells": (*_CELLS, 8), "nearest": ("both_rows", "columns", 1), "arrived": ("both_rows", "columns", 8)}
 """Shapes by kind."""
 
@@ -56,16 +57,17 @@ def _kernel(name: str, reads: str, writes: str, blocks: Blocks | None = None) ->
     pairs = {word.split(":")[0]: word.split(":")[1] for word in f"{reads} {writes}".split()}
     names = [tuple(word.split(":")[0] for word in words.split()) for words in (reads, writes)]
     return Kernel(f"interpolate_{name}", names[0], names[1], _no_rows, (names[1][-1], 0),
-                  {name: _SHAPES[kind] for name, kind in pairs.items()}, blocks=blocks)
+                  {name: _SHAPES_BY_KIND[kind] for name, kind in pairs.items()}, blocks=blocks)
 
 
-_SUMMING, _TILES = Blocks(1, 256), Blocks(8, 256, columns=32)
+_SUMMING = Blocks(1, 256)
+_TILES = Blocks(8, 256, columns=32)
 HOLD = _kernel("hold", "picture:picture depth:pixel_depth", "held:held")
-GATHER = _kernel("gather", "motion:pixel_motion depth:pixel_depth scale:number",
-                 "cells:motion keys:motion cell_depth:depth")
-LIGHTS = _kernel("lights", "before:held after:held", "sums:sums", _SUMMING)
-LOGS = _kernel("logs", "before:held after:held lights:sums", "sums:sums", _SUMMING)
-LEVEL = _kernel("level", "sums:sums", "level:number")
+GATHER_KERNEL = _kernel("gather", "motion:pixel_motion depth:pixel_depth scale:number",
+                        "cells:motion keys:motion cell_depth:depth")
+LIGHTS_KERNEL = _kernel("lights", "before:held after:held", "sums:sums", _SUMMING)
+LOGS_KERNEL = _kernel("logs", "before:held after:held lights:sums", "sums:sums", _SUMMING)
+LEVEL_KERNEL = _kernel("level", "sums:sums", "level:number")
 TONE = _kernel("tone", "before:held after:held level:number", "toned_before:toned toned_after:toned")
 ARRIVE = _kernel("arrive", "motion:motion depth:depth keys:motion", "keys:motion")
 INVERT = _kernel("invert", "keys:motion motion:motion depth:depth", "inverse:motion")
@@ -76,20 +78,23 @@ LEAD_AHEAD = _kernel("lead_ahead", "ahead:motion motion:motion depth_before:dept
                      "facts:facts bend_after:motion", "ends:ends bend:motion seen:depth")
 MISFITS = _kernel("misfits", "before:toned after:toned ends:ends seen:depth scale:number", "found:misfits",
                   Blocks(1, 256, columns=32))
-NOISE = _kernel("noise", "found:misfits", "noise:number", Blocks(1, 1024))
+NOISE_KERNEL = _kernel("noise", "found:misfits", "noise:number", Blocks(1, 1024))
 CLEAR = _kernel("clear", "", "nearest:nearest count:number sums:arrived")
-NEAREST = _kernel("nearest", "ends_before:ends bend_before:motion depth_before:depth ends_after:ends bend_after:motion "
-                  "depth_after:depth time:number nearest:nearest", "nearest:nearest")
-MEANS = _kernel("means", "ends_before:ends bend_before:motion depth_before:depth seen_before:depth ends_after:ends "
-                "bend_after:motion depth_after:depth seen_after:depth time:number nearest:nearest sums:arrived",
-                "sums:arrived", Blocks(16, 256, columns=32))
-MERGE = _kernel("merge", "nearest:nearest sums:arrived facts:facts scale:number",
-                "sides:cells depths:motion own:cells")
+NEAREST_KERNEL = _kernel("nearest",
+                         "ends_before:ends bend_before:motion depth_before:depth ends_after:ends bend_after:motion "
+                         "depth_after:depth time:number nearest:nearest", "nearest:nearest")
+MEANS_KERNEL = _kernel("means",
+                       "ends_before:ends bend_before:motion depth_before:depth seen_before:depth ends_after:ends "
+                       "bend_after:motion depth_after:depth seen_after:depth time:number nearest:nearest sums:arrived",
+                       "sums:arrived", Blocks(16, 256, columns=32))
+MERGE_KERNEL = _kernel("merge", "nearest:nearest sums:arrived facts:facts scale:number",
+                       "sides:cells depths:motion own:cells")
 FILL = _kernel("fill", "depths:motion own:cells", "own:cells")
 LIST = _kernel("list", "own:cells scale:number count:number", "count:number list:depth cells:cells", _TILES)
 CHOOSE = _kernel("choose", "before:toned after:toned own:cells sides:cells depths:motion noise:number scale:number "
-                 "count:number list:depth cells:cells", "cells:cells", Blocks(1, 256, most=4 * PARTS))
-DETAIL = _kernel("detail", "before:toned after:toned noise:number scale:number cells:cells", "cells:cells", _TILES)
+                 "count:number list:depth cells:cells", "cells:cells", Blocks(1, 256, most=4 * SUMMING_BLOCKS))
+DETAIL_KERNEL = _kernel("detail", "before:toned after:toned noise:number scale:number cells:cells", "cells:cells",
+                        _TILES)
 _COMPOSED = "cells:cells before:held after:held time:number level:number scale:number shares:two"
 COMPOSE = _kernel("compose", _COMPOSED, "motion:pixel_motion depth:pixel_depth colour:colour", _TILES)
 COMPOSE_ALL = _kernel("compose_all", _COMPOSED, "motion:pixel_motion depth:pixel_depth paths:paths led:led "
@@ -109,11 +114,11 @@ def _step(kernel: Kernel, buffers: str) -> Step:
 
 PUSH: Steps = ((
     _step(HOLD, "after.colour after.depth after.held"),
-    _step(GATHER, "after.motion after.depth scale after.cells keys after.cell_depth")), )
+    _step(GATHER_KERNEL, "after.motion after.depth scale after.cells keys after.cell_depth")), )
 PAIR: Steps = (
-    (_step(LIGHTS, "before.held after.held lights"), _step(ARRIVE, "after.cells after.cell_depth keys")),
-    (_step(LOGS, "before.held after.held lights logs"),),
-    (_step(LEVEL, "logs level"), _step(INVERT, "keys after.cells before.cell_depth inverse")),
+    (_step(LIGHTS_KERNEL, "before.held after.held lights"), _step(ARRIVE, "after.cells after.cell_depth keys")),
+    (_step(LOGS_KERNEL, "before.held after.held lights logs"),),
+    (_step(LEVEL_KERNEL, "logs level"), _step(INVERT, "keys after.cells before.cell_depth inverse")),
     (_step(TONE, "before.held after.held level toned_before toned_after"),
      _step(REFINE, "inverse after.cells before.cell_depth ahead")),
     (_step(LEAD_BACK, "after.cells ahead before.cell_depth after.cell_depth before.cells facts_after ends_after "
@@ -121,19 +126,19 @@ PAIR: Steps = (
     (_step(LEAD_AHEAD, "ahead after.cells before.cell_depth after.cell_depth before.cells facts_before bend_after "
            "ends_before bend_before seen_before"),
      _step(MISFITS, "toned_before toned_after ends_after seen_after scale misfits")),
-    (_step(NOISE, "misfits noise"),))
+    (_step(NOISE_KERNEL, "misfits noise"),))
 _COMPOSED_OF = "chosen before.held after.held time level scale shares new.motion new.depth"
 _SIDES = ("ends_before bend_before before.cell_depth", "ends_after bend_after after.cell_depth")
-FRAME: Steps = (
+FRAME_STEPS: Steps = (
     (_step(CLEAR, "nearest listed arrived"),),
-    (_step(NEAREST, f"{_SIDES[0]} {_SIDES[1]} time nearest"),),
-    (_step(MEANS, f"{_SIDES[0]} seen_before {_SIDES[1]} seen_after time nearest arrived"),),
-    (_step(MERGE, "nearest arrived facts_after scale sides depths own"),),
+    (_step(NEAREST_KERNEL, f"{_SIDES[0]} {_SIDES[1]} time nearest"),),
+    (_step(MEANS_KERNEL, f"{_SIDES[0]} seen_before {_SIDES[1]} seen_after time nearest arrived"),),
+    (_step(MERGE_KERNEL, "nearest arrived facts_after scale sides depths own"),),
     (_step(FILL, "depths own"),),
     (_step(LIST, "own scale listed list chosen"),),
     (_step(CHOOSE, "toned_before toned_after own sides depths noise scale listed list chosen"),),
-    (_step(DETAIL, "toned_before toned_after noise scale chosen"),))
-PICTURE: Steps = ((_step(COMPOSE, f"{_COMPOSED_OF} new.colour"),),)
+    (_step(DETAIL_KERNEL, "toned_before toned_after noise scale chosen"),))
+PICTURE_STEPS: Steps = ((_step(COMPOSE, f"{_COMPOSED_OF} new.colour"),),)
 WITH_PLANES: Steps = ((_step(COMPOSE_ALL, f"{_COMPOSED_OF} paths led new.colour"),),)
 """The last step of a time, without planes that are taken along the paths of the picture, and with them."""
 TAKE_ALL: Steps = (tuple(_step(TAKE, f"before.{role} after.{role} paths led new.{role}") for role in TAKEN),)
@@ -214,7 +219,7 @@ class DeviceInterpolator:
         """
         tensors = share_planes(self._device, "plane", planes)
         spec = spec_of(tensors, {}, "scene-linear")
-        missing = [role for role in NEEDED if role not in tensors]
+        missing = [role for role in NEEDED_PLANES if role not in tensors]
         if missing:
             raise FrameError(f"frames between on a device need {', '.join(missing)}, too: give the planes")
         size = spec.height, spec.width
@@ -247,13 +252,13 @@ class DeviceInterpolator:
         back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
         self._tell("time", t)
         self._tell("shares", *back)
-        roles = [role for role in (*NEEDED, *TAKEN) if all(role in frame for frame in self._frames)]
+        roles = [role for role in (*NEEDED_PLANES, *TAKEN) if all(role in frame for frame in self._frames)]
         sets = self._count % 2, self._made % 2
-        if len(roles) > len(NEEDED):
-            commands = [self._known("frame with planes", (*FRAME, *WITH_PLANES), *sets),
+        if len(roles) > len(NEEDED_PLANES):
+            commands = [self._known("frame with planes", (*FRAME_STEPS, *WITH_PLANES), *sets),
                         self._record("planes", TAKE_ALL)]
         else:
-            commands = [self._known("frame", (*FRAME, *PICTURE), *sets)]
+            commands = [self._known("frame", (*FRAME_STEPS, *PICTURE_STEPS), *sets)]
         self.milliseconds["frame"] = self._run(commands)
         return {role: self._buffer(f"new.{role}") for role in roles}
 
@@ -263,7 +268,7 @@ class DeviceInterpolator:
             tensor.release()
         self._size, self._frames, self._jitters, self._resets = size, [], [], []
         self._buffers, self._commands, self._numbers = {}, {}, {}
-        for name, shape in shapes_of((*PUSH, *PAIR, *FRAME, *WITH_PLANES, *TAKE_ALL), sizes_of(*size)).items():
+        for name, shape in shapes_of((*PUSH, *PAIR, *FRAME_STEPS, *WITH_PLANES, *TAKE_ALL), sizes_of(*size)).items():
             side, _, plane = name.rpartition(".")
             if side == "before" or (side == "after" and plane in ROLES):
                 continue

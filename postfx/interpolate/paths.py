@@ -37,8 +37,13 @@ SURE = np.float32(0.7)
 """Share of the paths that arrive at a cell that must be seen by the other frame: a sample of it has cells around."""
 COVERS = np.float32(0.9)
 """Share of a depth below which what is seen is something else, in front."""
-POINTS, LEAST_POINTS, FITTING = 2000, 64, 0.4
-"""Points that the fit of a camera takes, the least that it needs, and the least share that it must explain."""
+
+# Points that the fit of a camera takes, the least that it needs, and the least share that it must
+# explain.
+POINTS = 2000
+LEAST_POINTS = 64
+FITTING = 0.4
+
 SPRUNG = np.float32(0.5)
 """Bend, as a share of the motion, from which a path is no curve but a jump and is taken as straight."""
 ROUND = np.float32(0.7)

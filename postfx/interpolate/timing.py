@@ -23,12 +23,13 @@ from postfx.frame import Frame, Role
 from postfx.interpolate.choose import STILL
 from postfx.system import in_bands
 
-_DROP, _FIELD = 1 << 6, 1 << 15
+_DROP = 1 << 6
+_FIELD = 1 << 15
 _PLACES = ((24, 30), (16, 23), (8, 15), (0, 6))
 """First and last bit of hours, minutes, seconds and frames."""
-AROUND = 0.09
+SPARK_SURROUNDINGS_SHARE = 0.09
 """How far away what is around a spark is looked for, as a share of the picture's shorter side."""
-SCALES = 0.5, 2.5
+SPARK_SCALES = 0.5, 2.5
 """By how much the light of sparks may be scaled, least and most."""
 MOST_RATE = 60
 """Frames a second that a time code can count."""
@@ -261,7 +262,7 @@ def find_sparks(picture: np.ndarray, scale: int, dim: float, grid: tuple[int, in
     """
     bright, found = new_array(grid), np.zeros(grid, np.uint8)
     in_bands(grid[0], _brightest.bind((picture, np.array([scale], np.float32), bright)))
-    reach = max(1, int(AROUND * min(grid)))
+    reach = max(1, int(SPARK_SURROUNDINGS_SHARE * min(grid)))
     in_bands(grid[0], _mark.bind((bright, np.array((dim, reach), np.float32), found)))
     _grow(0, 1, found)
     return found
@@ -311,5 +312,5 @@ def keep_sparks(sparks: Sparks, t: float, own: np.ndarray, near: np.ndarray, pic
     given, sums = sparks.arrays(t), np.zeros(2)
     _sum(0, 1, *given, own, picture, near, sums)
     if sums[1] > 0:
-        factor = np.clip(sums[0] / sums[1], *SCALES)
+        factor = np.clip(sums[0] / sums[1], *SPARK_SCALES)
         _scale(0, 1, *given, own, np.array([factor], np.float32), near, picture)

@@ -25,7 +25,7 @@ from postfx.io.windows import Part
 
 COLOUR_FILES = ("beauty", "rgba", "rgb", "colour", "color", "combined", "image", "noisy")
 """Words that stand for the colour plane where every plane has its own file."""
-_LETTERS = {"red": "r", "green": "g", "blue": "b", "alpha": "a"}
+_SHORT_LETTERS = {"red": "r", "green": "g", "blue": "b", "alpha": "a"}
 _VIEW_WORDS = ("main", "left", "right")
 """Views that parts are named after where no attribute tells views."""
 _DATA = re.compile(
@@ -295,7 +295,7 @@ def _ranks(names: list[str], parts: Parts) -> dict[int, int]:
 def _with_letter(name: str) -> str:
     """'albedo.red' as 'albedo.r'."""
     layer, dot, letter = name.rpartition(".")
-    return layer + dot + _LETTERS.get(letter.lower(), letter)
+    return layer + dot + _SHORT_LETTERS.get(letter.lower(), letter)
 
 
 def _views(parts: Parts) -> tuple[str, ...]:

@@ -83,7 +83,7 @@ _ENCODED = ("srgb_rec709", "g24_rec709", "g22_rec709", "g18_rec709", "srgb_ap1",
             "g22_adobergb")
 _ADOBE_EXPONENT = 563 / 256
 """Adobe RGB (1998) Color Image Encoding, 4.3.1.2."""
-SILENT = ("", "data", "unknown")
+SILENT_IDENTIFIERS = ("", "data", "unknown")
 """Identifiers that say nothing about colours."""
 _OCIO = "ocio:"
 
@@ -138,13 +138,15 @@ def _space_by_ocio(identifier: str) -> ColourSpace | None:
 
 
 NATIVE = "native"
-ACES, INTEROP, PRIMARIES = "acesImageContainerFlag", "colorInteropID", "chromaticities"
+ACES = "acesImageContainerFlag"
+INTEROP = "colorInteropID"
+PRIMARIES = "chromaticities"
 COLOUR_ATTRIBUTES = (ACES, INTEROP, PRIMARIES)
 """Headers that say what colours are, the one that counts most first (Color Interop Forum, "Identifying the Color Space
 of OpenEXR Files")."""
 _REFLECTANCES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 _LIGHTS = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.OVERLAY)
-_PIECE = 256  # rows
+_PIECE_ROWS = 256  # rows
 _LARGEST = 1e30
 
 
@@ -205,7 +207,7 @@ class InputColours:
 def is_silent(attributes: Mapping[str, Any]) -> bool:
     """Whether a header has no identifier of a colour space."""
     identifier = attributes.get(INTEROP)
-    return not isinstance(identifier, str) or identifier in SILENT
+    return not isinstance(identifier, str) or identifier in SILENT_IDENTIFIERS
 
 
 def gather_attributes(own: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
@@ -238,8 +240,8 @@ def _label(metadata: dict[str, Any], space: ColourSpace) -> None:
 
 
 def _turn(plane: np.ndarray, space: ColourSpace, matrix: np.ndarray | None, positive: bool) -> None:
-    for first in range(0, len(plane), _PIECE):
-        colour = plane[first:first + _PIECE, :, :3]
+    for first in range(0, len(plane), _PIECE_ROWS):
+        colour = plane[first:first + _PIECE_ROWS, :, :3]
         turned = colour if space.decode is None else space.decode(colour)
         if matrix is not None:
             turned = np.clip(turned, -_LARGEST, _LARGEST) @ matrix.T  # infinity minus infinity would be NaN

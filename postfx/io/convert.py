@@ -221,7 +221,7 @@ def fill_background_motion(motion: np.ndarray, depth: np.ndarray) -> bool:
 
 # The option --depth ------------------------------------------------------------------------------------------------
 
-KINDS = {
+DEPTH_KIND_WORDS = {
     "planar": ("planar", False),
     "ray": ("ray", False),
     "device": ("device", False),
@@ -272,14 +272,14 @@ class DepthOption:
 
 
 def parse_depth(text: str) -> DepthOption:
-    """Option of a text: one of `KINDS`, then near=, far=, fov= (degrees), miss= or scale=, parted by commas.
+    """Option of a text: one of `DEPTH_KIND_WORDS`, then near=, far=, fov= (degrees), miss= or scale=, parted by commas.
 
     'reversed,near=0.1' is a reversed depth buffer with an infinite far plane, 'device,near=0.1,far=100' a usual one,
     'ray,fov=54.4,miss=0' the distance from the eye. Raises DepthOptionError for anything else.
     """
     kind, *pairs = [word.strip() for word in text.split(",")]
-    if kind not in KINDS:
-        raise DepthOptionError(f"depth '{text}': begin with {', '.join(KINDS)}")
+    if kind not in DEPTH_KIND_WORDS:
+        raise DepthOptionError(f"depth '{text}': begin with {', '.join(DEPTH_KIND_WORDS)}")
     numbers: dict[str, float] = {}
     for pair in pairs:
         name, _, value = pair.partition("=")
@@ -296,7 +296,7 @@ def parse_depth(text: str) -> DepthOption:
     if unknown:
         raise DepthOptionError(f"depth '{text}': unknown '{unknown[0]}': use {', '.join(_NUMBERS)}")
     near, far, fov, miss, scale = map(numbers.get, _NUMBERS)
-    return DepthOption(*KINDS[kind], near, far, fov, miss, scale)
+    return DepthOption(*DEPTH_KIND_WORDS[kind], near, far, fov, miss, scale)
 
 
 def missing_number(rule: PlaneRule, camera: Camera) -> str | None:

@@ -42,7 +42,7 @@ from postfx.system import Scratch
 
 FEWEST_ROWS = 64
 """That OpenImageIO reads at once, with few threads: they stay in the cache."""
-MOST_ROWS = 256
+MOST_CHUNK_ROWS = 256
 """With many threads: each has a chunk."""
 READ_ALL = ReadOptions()
 """All planes that are there, as they are."""
@@ -92,7 +92,7 @@ class _Rows:
                 if not (straight and self._read_straight(rows)):
                     self._read_any(rows)
             return
-        step = rows_of_task(count) if straight else min(max(FEWEST_ROWS, 16 * count), MOST_ROWS)
+        step = rows_of_task(count) if straight else min(max(FEWEST_ROWS, 16 * count), MOST_CHUNK_ROWS)
         step = -(-step // self._plan.chunk) * self._plan.chunk
         pieces = [
             (first, min(self._height, first + step)) for first in range(0, self._height, step)

@@ -10,9 +10,9 @@ import numpy as np
 from postfx.colour import D50_XYZ, adapt, to_xyz
 from postfx.colour.displays import SRGB, Display
 
-VERSION = 0x04400000
+ICC_VERSION = 0x04400000
 """Of the format, 4.4."""
-MADE = (2025, 1, 1, 0, 0, 0)
+PROFILE_DATE = (2025, 1, 1, 0, 0, 0)
 """Year, month, day, hours, minutes and seconds of every profile, so that equal ones have the same
 bytes."""
 CURVE_SAMPLES = 1024
@@ -63,9 +63,9 @@ def _assemble(tags: dict[bytes, bytes]) -> bytes:
 
 
 def _header(size: int) -> bytes:
-    kinds = struct.pack(">4s4s4s6H4s", b"mntr", b"RGB ", b"XYZ ", *MADE, b"acsp")
+    kinds = struct.pack(">4s4s4s6H4s", b"mntr", b"RGB ", b"XYZ ", *PROFILE_DATE, b"acsp")
     white = b"".join(map(_encode_fixed, D50_XYZ))
-    return (struct.pack(">I4sI", size, b"", VERSION) + kinds + bytes(28) + white).ljust(
+    return (struct.pack(">I4sI", size, b"", ICC_VERSION) + kinds + bytes(28) + white).ljust(
         HEADER_BYTES, b"\0"
     )
 

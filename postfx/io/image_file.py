@@ -36,12 +36,12 @@ READABLE = (".exr", ".hdr")
 STILLS = (".tif", ".tiff", ".pfm")
 """Endings of files that are read where they are named, if they hold floats; pictures for displays end so, too."""
 _STORED = {"uint": oiio.UINT, "half": oiio.HALF, "float": oiio.FLOAT}
-_STORAGE = ("Orientation", "hdr:exposure", "oiio:Gamma")
+_STALE_ATTRIBUTES = ("Orientation", "hdr:exposure", "oiio:Gamma")
 """OpenImageIO's attributes of a Radiance file that are no longer true of pixels as they are read here."""
 _HDR_GROWS = 64  # runs of 127 bytes lie in 2
 _STILL_GROWS = 1100
 """Most bytes of pixels to a byte of a file: Deflate, the best of TIFF's compressions, reaches 1032."""
-_FLOATS = ("half", "float", "double")
+_FLOAT_TYPES = ("half", "float", "double")
 
 
 def check_claims(path: Path) -> RadianceHeader | ExrContainer:
@@ -254,7 +254,7 @@ class ImageFile:
 
 def _check_still(path: Path, spec: oiio.ImageSpec) -> None:
     """ReadError unless a TIFF or PFM holds floats, and no more pixels than its bytes can."""
-    if str(spec.format) not in _FLOATS:
+    if str(spec.format) not in _FLOAT_TYPES:
         raise ReadError(f"{path}: holds whole numbers, code values of a picture that was made for a display: give the "
                         "scene-linear render, as OpenEXR or as TIFF of 16 or 32-bit floats")
     size = path.stat().st_size
@@ -271,7 +271,7 @@ def _radiance_part(part: Part, header: RadianceHeader) -> Part:
 
 def _radiance_attributes(attributes: Mapping[str, Any], header: RadianceHeader) -> dict[str, Any]:
     """What is still true of pixels as they are read here, and the header's facts on their colours."""
-    found = {name: value for name, value in attributes.items() if name not in _STORAGE}
+    found = {name: value for name, value in attributes.items() if name not in _STALE_ATTRIBUTES}
     return found | ({"chromaticities": header.primaries} if header.primaries else {})
 
 
@@ -301,10 +301,10 @@ def reason_of(fetch: Callable[[], str]) -> str:
 STARTS = (b"#?RADIANCE", b"#?RGBE")
 MAX_HEADER = 64 << 10
 """Bytes within which the size has to stand."""
-_SIZE = re.compile(rb"([-+])([XY]) +(\d{1,9}) +([-+])([XY]) +(\d{1,9})")
+_RADIANCE_SIZE = re.compile(rb"([-+])([XY]) +(\d{1,9}) +([-+])([XY]) +(\d{1,9})")
 
 
-_MOST = 1e15
+_MOST_HEADER_NUMBER = 1e15
 """What no number of a header may reach."""
 
 
@@ -348,7 +348,7 @@ class RadianceHeader:
 def parse_header(start: bytes, path: Path) -> RadianceHeader:
     """Header at the start of a file. Raises ReadError where it is broken, or holds CIE XYZ."""
     facts, _, rest = start.partition(b"\n\n")
-    found = _SIZE.fullmatch(rest.partition(b"\n")[0])
+    found = _RADIANCE_SIZE.fullmatch(rest.partition(b"\n")[0])
     if found is None or {found[2], found[5]} != {b"X", b"Y"}:
         raise ReadError(f"{path}: broken file: its header has no size; render or copy this frame again")
     factors, primaries = np.ones(3), None
@@ -363,7 +363,7 @@ def parse_header(start: bytes, path: Path) -> RadianceHeader:
             primaries = tuple(given) if given.any() else None  # Photoshop writes zeros where it knows none
         elif key == "FORMAT" and value.strip() == "32-bit_rle_xyze":
             raise ReadError(f"{path}: holds CIE XYZ, which is not read: convert it to RGB first, with 'ra_xyze -r -u'")
-    if not ((factors > 1 / _MOST) & (factors < _MOST)).all():
+    if not ((factors > 1 / _MOST_HEADER_NUMBER) & (factors < _MOST_HEADER_NUMBER)).all():
         raise ReadError(f"{path}: broken file: its header says that it was multiplied by {factors.min():g}; correct "
                         "EXPOSURE and COLORCORR")
     signs = {found[2]: found[1], found[5]: found[4]}
@@ -376,7 +376,7 @@ def _numbers(value: str, count: int, line: str, path: Path) -> np.ndarray:
         numbers = np.array([float(word) for word in value.split()])
     except ValueError:
         numbers = np.empty(0)
-    if len(numbers) != count or not all(abs(numbers) < _MOST):
+    if len(numbers) != count or not all(abs(numbers) < _MOST_HEADER_NUMBER):
         words = "a number" if count == 1 else f"{count} numbers"
         raise ReadError(f"{path}: broken file: '{line[:60]}' is not {words}; correct its header")
     return numbers

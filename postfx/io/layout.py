@@ -16,23 +16,23 @@ from postfx.io.channels import Channel, ChannelIndex, Names, are_together, befor
 from postfx.io.convert import Camera, DepthOption, missing_error, missing_number
 from postfx.io.facts import Facts
 from postfx.io.profile import DetectRule, PlaneRule, Profile, load_profile, profile_names
-from postfx.io.windows import PICTURE
+from postfx.io.windows import PICTURE_ATTRIBUTE
 
 
 def _picture_rules(told: str) -> tuple[PlaneRule, ...]:
     """Rules for a picture that an earlier run wrote: under its own names, if these are not plain R, G, B."""
     names = told.split(",")
-    red = next((name for name in names if name.rpartition(".")[2] in _ALPHAS), "")
+    red = next((name for name in names if name.rpartition(".")[2] in ALPHA_OF_RED), "")
     layer, _, letter = red.rpartition(".")
     if not layer or {"R", "G", "B"} <= {*names}:
         layer, letter = "", "R"
     letters = next(tuple(word) for word in _COLOURS if word[0] == letter)
-    return (PlaneRule(Role.COLOUR, (layer,), (letters,)), PlaneRule(Role.ALPHA, (layer,), ((_ALPHAS[letter],),)))
+    return (PlaneRule(Role.COLOUR, (layer,), (letters,)), PlaneRule(Role.ALPHA, (layer,), ((ALPHA_OF_RED[letter],),)))
 
 
 _COLOURS = (("R", "G", "B"), ("r", "g", "b"), ("red", "green", "blue"), ("Red", "Green", "Blue"),
             ("RED", "GREEN", "BLUE"))
-_ALPHAS = {"R": "A", "r": "a", "red": "alpha", "Red": "Alpha", "RED": "ALPHA"}
+ALPHA_OF_RED = {"R": "A", "r": "a", "red": "alpha", "Red": "Alpha", "RED": "ALPHA"}
 
 
 class Match(NamedTuple):
@@ -104,8 +104,8 @@ def make_layout(
     Raises ProfileError when the depth plane needs numbers of the camera that are not known.
     """
     profile = profile or _detect(index, attributes)
-    if PICTURE in attributes:
-        profile = replace(profile, planes=_picture_rules(str(attributes[PICTURE])) + profile.planes)
+    if PICTURE_ATTRIBUTE in attributes:
+        profile = replace(profile, planes=_picture_rules(str(attributes[PICTURE_ATTRIBUTE])) + profile.planes)
     layers = _distinct(index, _layers(index.names, profile), profile.marker)
     named = [name for name in layers if layer is not None and name.rstrip(".").lower() == layer.lower()]
     found = [_match_all(index, Layout(profile, name, {}, Camera(), attributes, paths), depth, without)

@@ -36,7 +36,7 @@ from postfx.masks.noise import (
 from postfx.system import Scratch
 
 _PREFIX = "cryptomatte/"
-_LETTERS = (("R", "G", "B", "A"), ("red", "green", "blue", "alpha"))
+_RGBA_LETTERS = (("R", "G", "B", "A"), ("red", "green", "blue", "alpha"))
 _EXPECTED = {"hash": "MurmurHash3_32", "conversion": "uint32_to_float32"}
 
 
@@ -87,7 +87,7 @@ def _planes(index: ChannelIndex, header: Mapping[str, str], path: Path) -> Crypt
 
 
 def _ranks(index: ChannelIndex, name: str) -> tuple[Channel, ...]:
-    for letters in _LETTERS:
+    for letters in _RGBA_LETTERS:
         channels: list[Channel] = []
         while found := index.find([f"{name}{len(channels) // 4:02d}.{letter}" for letter in letters]):
             channels += found
@@ -113,7 +113,7 @@ def _manifest(header: Mapping[str, str], path: Path, where: str) -> dict[str, in
         raise StrengthError(f"{source}: the manifest is not JSON of names and ids: render it again") from None
 
 
-SHOWN = 8
+MOST_LISTED_NAMES = 8
 """Names that an error lists at most."""
 
 
@@ -207,7 +207,7 @@ class LeftAlone:
         found = self._index.matching(plane)
         if len(found) != 1:
             known = ", ".join(one.name for one in self._cryptomattes) or "none"
-            names = ", ".join(channel.name for channel in found[:SHOWN])
+            names = ", ".join(channel.name for channel in found[:MOST_LISTED_NAMES])
             what = f"has several channels ({names}): name one" if found else \
                 f"is not there: name a channel of ids, or a Cryptomatte (here: {known})"
             raise StrengthError(f"{self._path}: AOV '{plane}' of '{entry}' {what}")
@@ -218,7 +218,7 @@ class LeftAlone:
         near = [name for layer in layers for name in layer.about.nearest(entry)]
         names = near or [name for layer in layers for name in layer.about.manifest or ()]
         kind = "nearest" if near else "some of its names"
-        shown = ", ".join(f"'{name}'" for name in names[:SHOWN]) or "none, the manifest is empty"
+        shown = ", ".join(f"'{name}'" for name in names[:MOST_LISTED_NAMES]) or "none, the manifest is empty"
         return StrengthError(f"{self._path}: no '{entry.name}' in Cryptomatte {', '.join(one.name for one in layers)}: "
                              f"{kind}: {shown}")
 

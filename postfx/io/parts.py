@@ -14,12 +14,15 @@ from postfx.io.channels import Channel, ChannelIndex, are_together, read_channel
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Layout
 
-AUTO, NAMED = "auto", "named"
-COLOURS, VECTORS = (("R", "G", "B"),), (("X", "Y", "Z"), ("R", "G", "B"))
-NUMBERS = (("V",), ("Z",), ("Y",), ("A",), ("X",), ("R",), ("",))
-LETTERS = {"normal": VECTORS, "position": VECTORS, "albedo": COLOURS, "depth": NUMBERS}
+AUTO_PARTS = "auto"
+NAMED_PARTS = "named"
+COLOUR_LETTERS = (("R", "G", "B"),)
+VECTOR_LETTERS = (("X", "Y", "Z"), ("R", "G", "B"))
+NUMBER_LETTERS = (("V",), ("Z",), ("Y",), ("A",), ("X",), ("R",), ("",))
+LETTERS_BY_KIND = {"normal": VECTOR_LETTERS, "position": VECTOR_LETTERS, "albedo": COLOUR_LETTERS,
+                   "depth": NUMBER_LETTERS}
 """Channels of planes by kind, best first; others have three of colour or one."""
-PLANES = tuple(kind for kind in PART_KINDS if kind not in (*ADDITIVE, "factor"))
+PLANE_KINDS = tuple(kind for kind in PART_KINDS if kind not in (*ADDITIVE, "factor"))
 """Kinds that `--aov-denoise` takes."""
 NEVER = ("crypto", "uint", "id", "index", "mask")
 """Words that begin or end the names of layers whose values are not amounts, so that means of them mean nothing."""
@@ -53,8 +56,9 @@ def parse_parts(aov: str | None, planes: str | None) -> PartOptions | None:
         kind, _, layer = (word.strip() for word in entry.partition("="))
         if not entry.strip():
             continue
-        if kind not in PLANES or not layer:
-            raise OptionError(f"--aov-denoise {entry.strip()}: give KIND=LAYER, with KIND one of {', '.join(PLANES)}")
+        if kind not in PLANE_KINDS or not layer:
+            raise OptionError(f"--aov-denoise {entry.strip()}: give KIND=LAYER, with KIND one of "
+                              f"{', '.join(PLANE_KINDS)}")
         refuse_ids(layer, f"--aov-denoise {entry.strip()}")
         found.append((layer, kind))
     return PartOptions(names, tuple(found))
@@ -67,7 +71,7 @@ def refuse_ids(layer: str, option: str) -> None:
         raise OptionError(f"{option}: '{layer}' holds ids, whose means are other ids: they are never filtered")
 
 
-EXACT = ("depth", "position")
+EXACT_KINDS = ("depth", "position")
 """Kinds whose numbers half floats do not hold."""
 
 
@@ -82,7 +86,7 @@ class FoundPart:
     @property
     def source(self) -> PartSource:
         """How it is named there."""
-        return PartSource(tuple(channel.name for channel in self.channels), self.factor, self.part.kind in EXACT)
+        return PartSource(tuple(channel.name for channel in self.channels), self.factor, self.part.kind in EXACT_KINDS)
 
 
 def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: str,
@@ -93,19 +97,19 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
     """
     found: dict[str, FoundPart] = {}
     for name in options.names:
-        matches = _by_profile(index, layout, "*" if name == AUTO else name)
-        layers = [] if matches or name == AUTO else index.layers_like(name)
+        matches = _by_profile(index, layout, "*" if name == AUTO_PARTS else name)
+        layers = [] if matches or name == AUTO_PARTS else index.layers_like(name)
         for layer in layers:
             refuse_ids(layer, f"--aov {name}")
-            if channels := _channels(index, layer, COLOURS):
-                matches[layer] = FoundPart(Part(layer, "light", NAMED), channels)
+            if channels := _channels(index, layer, COLOUR_LETTERS):
+                matches[layer] = FoundPart(Part(layer, "light", NAMED_PARTS), channels)
         if not matches:
             raise _missing_error(name, index, layout, path)
         found |= {layer: part for layer, part in matches.items() if layer not in found}
     for name, kind in options.planes:
         for layer in index.layers_like(name)[:1] or [name]:
             refuse_ids(layer, f"--aov-denoise {kind}={name}")
-            channels = _channels(index, layer, LETTERS.get(kind, (*COLOURS, *NUMBERS)))
+            channels = _channels(index, layer, LETTERS_BY_KIND.get(kind, (*COLOUR_LETTERS, *NUMBER_LETTERS)))
             if not channels:
                 raise _missing_error(name, index, layout, path, f"--aov-denoise {kind}={name}")
             found[layer] = FoundPart(Part(layer, kind), channels)
@@ -122,7 +126,7 @@ def _by_profile(index: ChannelIndex, layout: Layout, name: str) -> dict[str, Fou
             if "*" not in pattern and name != "*" and pattern.lower() not in given:
                 continue
             for layer in index.layers_like(wanted, whole=True):
-                channels = _channels(index, layer, COLOURS)
+                channels = _channels(index, layer, COLOUR_LETTERS)
                 if channels and layer not in found:
                     factor = rule.factor.replace("{layer}", layout.layer)
                     divided = _factor(index, factor, found) if factor else None
@@ -133,7 +137,7 @@ def _by_profile(index: ChannelIndex, layout: Layout, name: str) -> dict[str, Fou
 def _factor(index: ChannelIndex, name: str, found: dict[str, FoundPart]) -> str | None:
     """The layer that parts are divided by, added to those found."""
     for layer in index.layers_like(name, whole=True)[:1]:
-        if channels := _channels(index, layer, COLOURS):
+        if channels := _channels(index, layer, COLOUR_LETTERS):
             found.setdefault(layer, FoundPart(Part(layer, "factor"), channels))
             return layer
     return None
@@ -154,16 +158,18 @@ def _missing_error(
     name: str, index: ChannelIndex, layout: Layout, path: str, option: str = "--aov"
 ) -> MissingPlaneError:
     held = "; ".join(index.contents()[:16]) or "nothing"
-    if name == AUTO:
+    if name == AUTO_PARTS:
         return MissingPlaneError(f"{path}: --aov auto: profile {layout.profile.name} knows none of its layers as "
                                  f"light groups or passes: name them (--aov key,fill); it holds {held}")
     return MissingPlaneError(f"{path}: no layer '{name}' for {option}: it holds {held}")
 
 
-NEAR = 3e-3
+LAYER_SUM_TOLERANCE = 3e-3
 """Layers add up to the picture if their sum differs by less than this share of its light."""
-_STEP, _MOST = 8, 14
-"""One row in so many is looked at; more layers than that are not tried in all combinations."""
+
+# One row in so many is looked at; more layers than that are not tried in all combinations.
+_SAMPLED_ROW_STEP = 8
+_MOST_COMBINED_LAYERS = 14
 
 
 def find_sets(picture: np.ndarray, parts: Mapping[str, np.ndarray]) -> list[tuple[str, ...]]:
@@ -171,16 +177,18 @@ def find_sets(picture: np.ndarray, parts: Mapping[str, np.ndarray]) -> list[tupl
 
     Layers that are in no set are left out.
     """
-    seen = picture[::_STEP].reshape(-1)
-    shown = [np.broadcast_to(part[::_STEP], (*picture[::_STEP].shape[:2], 3)).reshape(-1) for part in parts.values()]
+    seen = picture[::_SAMPLED_ROW_STEP].reshape(-1)
+    shown = [np.broadcast_to(part[::_SAMPLED_ROW_STEP], (*picture[::_SAMPLED_ROW_STEP].shape[:2], 3)).reshape(-1)
+             for part in parts.values()]
     whole = np.isfinite(seen) & np.logical_and.reduce([np.isfinite(part) for part in shown])
     layers = np.stack([part[whole] for part in shown]).astype(np.float64)
     target, names, found = seen[whole].astype(np.float64), tuple(parts), []
     light = np.abs(target).sum()
-    left = list(range(min(len(names), _MOST)))
+    left = list(range(min(len(names), _MOST_COMBINED_LAYERS)))
     for size in range(1, len(left) + 1):
         for chosen in combinations(tuple(left), size):
-            if set(chosen) <= set(left) and np.abs(layers[list(chosen)].sum(axis=0) - target).sum() <= NEAR * light:
+            if (set(chosen) <= set(left)
+                and np.abs(layers[list(chosen)].sum(axis=0) - target).sum() <= LAYER_SUM_TOLERANCE * light):
                 found.append(tuple(names[index] for index in chosen))
                 left = [index for index in left if index not in chosen]
     return found
@@ -194,15 +202,15 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     that adds up to the picture is a group, and every other layer one of its own, as nothing else tells its light.
     """
     parts = tuple(parts)
-    named = [part for part in parts if part.is_light and part.group == NAMED and part.name in pixels]
-    total = sum((pixels[part.name][::_STEP] for part in named), np.zeros_like(picture[::_STEP]))
-    excess, light = np.maximum(total - picture[::_STEP], 0), np.abs(picture[::_STEP])
+    named = [part for part in parts if part.is_light and part.group == NAMED_PARTS and part.name in pixels]
+    total = sum((pixels[part.name][::_SAMPLED_ROW_STEP] for part in named), np.zeros_like(picture[::_SAMPLED_ROW_STEP]))
+    excess, light = np.maximum(total - picture[::_SAMPLED_ROW_STEP], 0), np.abs(picture[::_SAMPLED_ROW_STEP])
     valid = np.isfinite(excess) & np.isfinite(light)
     lights = [part.name for part in parts if part.is_light and part.name in pixels]
     below = [name for name in lights if _is_below(pixels[name])]
     notes = [f"layers {', '.join(below)} have light below 0, which is cut to 0: add it to another layer, or take them "
              "out of --aov"] if below else []
-    if not named or excess[valid].sum(dtype=np.float64) <= NEAR * light[valid].sum(dtype=np.float64):
+    if not named or excess[valid].sum(dtype=np.float64) <= LAYER_SUM_TOLERANCE * light[valid].sum(dtype=np.float64):
         return parts, notes
     sets = find_sets(picture, {part.name: pixels[part.name] for part in named})
     groups = {name: ",".join(names) for names in sets for name in names}
@@ -218,9 +226,9 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
 
 def _is_below(part: np.ndarray) -> bool:
     """Whether a part has light below 0, by every eighth row."""
-    seen = part[::_STEP]
+    seen = part[::_SAMPLED_ROW_STEP]
     seen = seen[np.isfinite(seen)]
-    return bool(np.maximum(-seen, 0).sum(dtype=np.float64) > NEAR * np.abs(seen).sum(dtype=np.float64))
+    return bool(np.maximum(-seen, 0).sum(dtype=np.float64) > LAYER_SUM_TOLERANCE * np.abs(seen).sum(dtype=np.float64))
 
 
 def read_parts(files: Mapping[str, ImageFile], found: Mapping[str, FoundPart]) -> dict[str, np.ndarray]:

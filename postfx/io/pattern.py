@@ -18,7 +18,8 @@ from postfx.files import with_slashes
 from postfx.io.channels import COLOUR_FILES, is_plane_word
 from postfx.io.image_file import READABLE
 
-PLANE, VIEW = "{plane}", "{view}"
+PLANE_FIELD = "{plane}"
+VIEW_FIELD = "{view}"
 _NUKES_VIEW = re.compile(r"%[vV](?![A-Za-z])")
 """How Nuke writes the place of a view's name, or of its first letter."""
 _NUMBER = re.compile(
@@ -26,13 +27,13 @@ _NUMBER = re.compile(
 )
 _DIGITS = re.compile(r"((?<=[._])-|^-)?\d+(?=\.[^.]*$)", re.ASCII)
 """The number that ends a name, with a minus that stands where a number begins."""
-_RANGE = re.compile(r"\s*(?P<first>-?\d{1,9})(?:-(?P<last>-?\d{1,9})(?P<step>[xy:]\d{1,9})?)?\s*", re.ASCII)
+_FRAME_RANGE = re.compile(r"\s*(?P<first>-?\d{1,9})(?:-(?P<last>-?\d{1,9})(?P<step>[xy:]\d{1,9})?)?\s*", re.ASCII)
 _WILD = re.compile(r"[*?[]")
 Source: TypeAlias = "str | os.PathLike[str] | Sequence[str | os.PathLike[str]]"
 """A pattern, a folder, a file, wildcards, or files one by one."""
 MOST_DIGITS = 32
 """Digits that a frame number may be padded to."""
-MOST_FRAMES = 1_000_000
+MOST_RANGE_FRAMES = 1_000_000
 """Frames from the first to the last of each range that is asked for."""
 MOST_FOLDERS = 4096
 """Folders that wildcards may fit on each level, so that a search ends soon."""
@@ -57,11 +58,11 @@ class Pattern:
     @property
     def has_views(self) -> bool:
         """Whether every view has files of its own."""
-        return VIEW in self.prefix + self.suffix
+        return VIEW_FIELD in self.prefix + self.suffix
 
     def of_view(self, view: str) -> Pattern:
         """Pattern of one view's files."""
-        return replace(self, prefix=self.prefix.replace(VIEW, view), suffix=self.suffix.replace(VIEW, view))
+        return replace(self, prefix=self.prefix.replace(VIEW_FIELD, view), suffix=self.suffix.replace(VIEW_FIELD, view))
 
     def by_view(self) -> dict[str, Pattern]:
         """View -> pattern of its files, of all views on the disk; '' -> this one where views share their files."""
@@ -77,11 +78,11 @@ class Pattern:
         if self.digits is not None:
             sign = "-" if number < 0 else ""
             name = f"{self.prefix}{sign}{abs(number):0{self.digits}d}{self.suffix}"
-        return Path(self.folder + name.replace(PLANE, plane))
+        return Path(self.folder + name.replace(PLANE_FIELD, plane))
 
     def plane_of(self, other: Pattern) -> str | None:
         """Word that stands in another pattern where this one has {plane}; None when they differ elsewhere."""
-        name = re.escape(self.prefix).replace(re.escape(PLANE), r"(?P<plane>[^./]+)", 1)
+        name = re.escape(self.prefix).replace(re.escape(PLANE_FIELD), r"(?P<plane>[^./]+)", 1)
         match = re.fullmatch(re.escape(self.folder) + name, other.folder + other.prefix)
         same = self.suffix == other.suffix and self.is_numbered == other.is_numbered
         return match["plane"] if match and same else None
@@ -116,7 +117,7 @@ class Pattern:
     def includes(self, path: Path) -> bool:
         """Whether a file, there or not, would be found as a frame."""
         inner, name = os.path.split(self.prefix)
-        if PLANE in inner or VIEW in inner:
+        if PLANE_FIELD in inner or VIEW_FIELD in inner:
             inner, name = "", self.prefix
         resolved = replace(self, prefix=name, folder=_join(os.path.realpath(self.folder + inner), ""))
         return resolved._regex().fullmatch(_join(os.path.realpath(path.parent), path.name)) is not None
@@ -125,7 +126,7 @@ class Pattern:
         """Wildcards that fit its files, and others."""
         number = "*" if self.is_numbered else ""
         name = glob.escape(self.prefix) + number + glob.escape(self.suffix)
-        return glob.escape(self.folder) + name.replace(PLANE, "*").replace(VIEW, "*")
+        return glob.escape(self.folder) + name.replace(PLANE_FIELD, "*").replace(VIEW_FIELD, "*")
 
     def _regex(self, least: int | None = None) -> re.Pattern[str]:
         """What fits its files, or those whose numbers have at least so many digits."""
@@ -135,7 +136,7 @@ class Pattern:
             count = least or self.digits
             number = rf"(?P<number>\d{{{count},}}|-\d{{{max(1, count - 1)},}})"
         name = re.escape(self.prefix) + number + re.escape(self.suffix)
-        for word in (PLANE, VIEW):
+        for word in (PLANE_FIELD, VIEW_FIELD):
             group = word.strip("{}")
             name = name.replace(re.escape(word), rf"(?P<{group}>[^./]+)", 1).replace(re.escape(word), f"(?P={group})")
         return re.compile(re.escape(self.folder) + name, re.ASCII)
@@ -177,7 +178,7 @@ def parse_pattern(text: str) -> Pattern:
     SequenceError when another folder's name holds a frame number, or a name holds two.
     """
     place, text = split_folder(with_slashes(text))
-    text = _NUKES_VIEW.sub(VIEW, text)
+    text = _NUKES_VIEW.sub(VIEW_FIELD, text)
     folder, _, name = text.rpartition("/")
     found = list(_NUMBER.finditer(name))
     if folder and _NUMBER.search(folder):
@@ -210,12 +211,12 @@ def parse_frames(text: str) -> list[int]:
     Steps that fileseq writes with ':' or 'y' are refused: they deal frames out to several machines, out of order.
     """
     try:
-        parts = [_RANGE.fullmatch(part) for part in text.split(",") if part.strip()]
+        parts = [_FRAME_RANGE.fullmatch(part) for part in text.split(",") if part.strip()]
         if None in parts:
             raise ValueError("not whole numbers of up to nine digits")
         for part in filter(None, parts):
-            if abs(int(part["last"] or part["first"]) - int(part["first"])) >= MOST_FRAMES:
-                raise SequenceError(f"--frames {text}: holds more than {MOST_FRAMES} frames")
+            if abs(int(part["last"] or part["first"]) - int(part["first"])) >= MOST_RANGE_FRAMES:
+                raise SequenceError(f"--frames {text}: holds more than {MOST_RANGE_FRAMES} frames")
             _refuse_other_steps(text, part)
         numbers = list(FrameSet(text))
     except (ParseException, MaxSizeException, ValueError) as error:
@@ -329,7 +330,7 @@ def _locate_files(names: list[str | os.PathLike[str]]) -> tuple[Pattern, list[in
 def _matches(pattern: Pattern, source: str) -> tuple[Pattern, list[int] | None]:
     """Pattern of the files, or of the one folder, that wildcards fit."""
     wild = glob.escape(pattern.folder) + pattern.prefix + ("*" if pattern.is_numbered else "") + pattern.suffix
-    wild = wild.replace(PLANE, "*").replace(VIEW, "*")
+    wild = wild.replace(PLANE_FIELD, "*").replace(VIEW_FIELD, "*")
     found = sorted(map(Path, _glob(wild)))
     folders = [path for path in found if os.path.isdir(path)]  # False without the right to look
     paths = [path for path in found if os.path.isfile(path) and path.suffix.lower() in READABLE]
@@ -359,7 +360,8 @@ def _one_sequence(patterns: list[Pattern], source: str) -> Pattern:
     together = patterns[0] if len(patterns) == 1 else _one_file_a_plane(patterns)
     if together is None:
         names = [Path(str(pattern)).name for pattern in patterns]
-        views = sorted({name.replace("right", VIEW) for name in names} & {name.replace("left", VIEW) for name in names})
+        views = sorted({name.replace("right", VIEW_FIELD) for name in names}
+                       & {name.replace("left", VIEW_FIELD) for name in names})
         also = f", or all views by {views[0]}" if views else ""
         raise SequenceError(f"{source}: holds {len(names)} sequences ({', '.join(names[:4])}): name one of them{also}")
     return together
@@ -370,7 +372,7 @@ def _one_file_a_plane(patterns: list[Pattern]) -> Pattern | None:
     for pattern in patterns:
         name = pattern.prefix
         for word in COLOUR_FILES:
-            together = replace(pattern, prefix=name.replace(word, PLANE))
+            together = replace(pattern, prefix=name.replace(word, PLANE_FIELD))
             if word in name and all(is_plane_word(together.plane_of(other) or "") for other in patterns):
                 return together
     return None

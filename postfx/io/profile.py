@@ -100,8 +100,8 @@ DISTANCE = Kind("a number or inf", lambda value: _is_number(value) or value == m
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 TABLES = _list_of(TABLE, "tables in double brackets")
 TEXTS = _list_of(TEXT, "a list of texts")
-NUMBERS = _list_of(NUMBER, "a list of numbers")
-RANGE = Kind("two numbers, the lower first", lambda value: NUMBERS.fits(value) and len(value) == 2
+NUMBER_LIST = _list_of(NUMBER, "a list of numbers")
+RANGE = Kind("two numbers, the lower first", lambda value: NUMBER_LIST.fits(value) and len(value) == 2
              and value[0] <= value[1])
 LETTERS = Kind("a list of texts or of lists of texts",
                lambda value: isinstance(value, list) and all(TEXT.fits(item) or TEXTS.fits(item) for item in value))
@@ -110,13 +110,13 @@ PATTERNS = Kind("a table of regular expressions",
 
 PROFILE = {"name": TEXT, "title": TEXT, "extends": TEXT, "source": TEXT, "marker": TEXT, "detect": TABLES,
            "header": TABLE, "camera": TABLE, "plane": TABLES, "part": TABLES}
-PART = {"names": TEXTS, "kind": TEXT, "group": TEXT, "factor": TEXT}
-CAMERA = {"fov_x": NUMBER, "near": NUMBER, "far": DISTANCE, "column_vectors": YES_NO, "max_velocity": LENGTH,
-          "shutter": LENGTH}
+PART_KEYS = {"names": TEXTS, "kind": TEXT, "group": TEXT, "factor": TEXT}
+CAMERA_KEYS = {"fov_x": NUMBER, "near": NUMBER, "far": DISTANCE, "column_vectors": YES_NO, "max_velocity": LENGTH,
+               "shutter": LENGTH}
 DETECT = {"header": PATTERNS, "channels": TEXTS, "without": TEXTS}
-PLANE = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "requires": TEXTS, "without": TEXTS, "source": TEXT,
-         "scale": NUMBERS, "offset": NUMBERS, "unit": TEXT, "per": TEXT, "space": TEXT, "kind": TEXT,
-         "reversed": YES_NO, "miss": NUMBER, "clamp": RANGE, "enable": TEXT}
+PLANE_KEYS = {"role": TEXT, "names": TEXTS, "channels": LETTERS, "requires": TEXTS, "without": TEXTS, "source": TEXT,
+              "scale": NUMBER_LIST, "offset": NUMBER_LIST, "unit": TEXT, "per": TEXT, "space": TEXT, "kind": TEXT,
+              "reversed": YES_NO, "miss": NUMBER, "clamp": RANGE, "enable": TEXT}
 
 
 def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, where: str = "profile") -> None:
@@ -133,7 +133,7 @@ HEADER_KEYS = ("samples", "fov_x", "exposure", "exposure_ev", "jitter", "reset",
                "max_velocity", "shutter")
 _MOST_BYTES = 1 << 18
 DEPTH_KINDS = ("planar", "ray", "device", "normalised")
-SOURCES = {
+NAME_SOURCES = {
     "file": "seen in files of the renderer",
     "code": "from the renderer's source code",
     "listing": "from lists of channels that others published",
@@ -141,7 +141,7 @@ SOURCES = {
 }
 """Where a profile's names are from -> in words."""
 _CHOICES = {"unit": ("pixels", "uv", "ndc", "width", "velocity"), "per": ("frame", "shutter"),
-            "space": ("world", "camera", "view"), "kind": DEPTH_KINDS, "source": ("", *SOURCES)}
+            "space": ("world", "camera", "view"), "kind": DEPTH_KINDS, "source": ("", *NAME_SOURCES)}
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,7 @@ def _parse(table: dict[str, Any], path: Path) -> Profile:
     check(table, PROFILE, path)
     base = load_profile(table["extends"]) if "extends" in table else Profile("")
     camera = table.get("camera", {})
-    check(camera, CAMERA, path, "[camera]")
+    check(camera, CAMERA_KEYS, path, "[camera]")
     header = table.get("header", {})
     check(header, dict.fromkeys(HEADER_KEYS, TEXTS), path, "[header]")
     own = {key: tuple(names) for key, names in header.items()}
@@ -283,7 +283,7 @@ def _check_choices(table: Mapping[str, Any], keys: Iterable[str], path: Path, wh
 
 def _part(table: dict[str, Any], path: Path) -> PartRule:
     where = f"[[part]] names = {table.get('names')!r}"
-    check(table, PART, path, where)
+    check(table, PART_KEYS, path, where)
     if not table.get("names"):
         raise ProfileError(f"{path}: {where}: give the names of layers")
     if table.get("kind", "light") not in ADDITIVE:
@@ -299,7 +299,7 @@ def _detect(table: dict[str, Any], path: Path) -> DetectRule:
 
 def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     where = f"[[plane]] role = {table.get('role')!r}"
-    check(table, PLANE, path, where)
+    check(table, PLANE_KEYS, path, where)
     if table.get("role") not in list(Role):
         raise ProfileError(f"{path}: {where}: unknown role: use one of {', '.join(Role)}")
     _check_choices(table, _CHOICES, path, where)

@@ -9,11 +9,11 @@ import numpy as np
 
 from postfx.io.pixel_formats import dither_rows
 
-SIDE = 64
+NOISE_SIDE_PX = 64
 """Of the square of blue noise, in pixels."""
 NEIGHBOURHOOD_PX = 1.5
 """Standard deviation of the weights around a place."""
-TURN = np.array([0.7548776662466927, 0.5698402909980532])
+TURN_SHIFT = np.array([0.7548776662466927, 0.5698402909980532])
 """A shift, in squares, that comes back late: Roberts 2018, R2."""
 
 
@@ -49,7 +49,7 @@ def quantise(
     dither_rows(
         flat,
         top,
-        np.stack([_thresholds(first_row, turn) for turn in turns], 2).reshape(SIDE, -1),
+        np.stack([_thresholds(first_row, turn) for turn in turns], 2).reshape(NOISE_SIDE_PX, -1),
         whole,
     )
     return whole.reshape(codes.shape)
@@ -57,12 +57,12 @@ def quantise(
 
 def _thresholds(first_row: int, turn: int) -> np.ndarray:
     """Blue noise (64, 64) with another pixel first in each turn."""
-    down, right = (turn * TURN % 1 * SIDE).astype(int)
+    down, right = (turn * TURN_SHIFT % 1 * NOISE_SIDE_PX).astype(int)
     return np.roll(blue_noise(), (-down - first_row, -right), (0, 1))
 
 
 @cache
-def blue_noise(side: int = SIDE) -> np.ndarray:
+def blue_noise(side: int = NOISE_SIDE_PX) -> np.ndarray:
     """Thresholds (side, side) float32, each of (0.5 .. side^2 - 0.5) / side^2 once, repeating
     without a seam.
 

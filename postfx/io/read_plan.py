@@ -36,7 +36,7 @@ from postfx.io.layout import (
 from postfx.io.parts import FoundPart, find_parts
 from postfx.io.profile import load_profile
 from postfx.io.read_options import ReadOptions
-from postfx.io.windows import PICTURE, Part, Window
+from postfx.io.windows import PICTURE_ATTRIBUTE, Part, Window
 
 _ALL_BUT_COLOUR = frozenset(Role) - {Role.COLOUR}
 _AXES = {"z": 0, "w": 1}
@@ -71,7 +71,7 @@ class Settled(NamedTuple):
     named: bool = False
 
 
-MOST_PLANS = 32
+MOST_READ_PLANS = 32
 """That are kept: a sequence has one for each view, and for each kind of header that its frames
 have."""
 
@@ -92,7 +92,7 @@ class Plans:
         """Keep a plan in the place of one with the same key."""
         with self._lock:
             self._held[key] = plan
-            if len(self._held) > MOST_PLANS:
+            if len(self._held) > MOST_READ_PLANS:
                 del self._held[next(iter(self._held))]
 
 
@@ -229,7 +229,7 @@ def key_of(
     plan."""
     parts = tuple([(word, *[part.key for part in own]) for word, own in files.items()])
     told = tuple([str(attributes.get(name, "")) for name in telling_names()])
-    return parts, told, str(attributes.get(PICTURE)), options.matching, settled
+    return parts, told, str(attributes.get(PICTURE_ATTRIBUTE)), options.matching, settled
 
 
 def known_of(camera: Camera) -> tuple[bool, ...]:

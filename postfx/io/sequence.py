@@ -19,7 +19,7 @@ from postfx.files import make_printable
 from postfx.frame import LOG, Frame, Role
 from postfx.io.colours import parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
-from postfx.io.pattern import VIEW, Pattern, Source, format_frames, locate, parse_frames
+from postfx.io.pattern import VIEW_FIELD, Pattern, Source, format_frames, locate, parse_frames
 from postfx.io.read_options import AUTO_MOTION, ReadOptions, parse_views
 from postfx.io.read_plan import Area, Plans, Settled
 from postfx.io.windows import scale_windows
@@ -102,7 +102,7 @@ class Sequence:
             )
         if self.guides and self.guides.pattern.has_views != self.pattern.has_views:
             raise SequenceError(
-                f"{guides}: guides have files for each view where frames do: put {VIEW} into both"
+                f"{guides}: guides have files for each view where frames do: put {VIEW_FIELD} into both"
             )
 
     def __repr__(self) -> str:

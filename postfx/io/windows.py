@@ -28,7 +28,7 @@ _TALL = ("dwab", "htj2k")
 """Compressions with chunks of up to 256 rows; chunks of all others divide 32."""
 
 
-PICTURE = "postfx:picture"
+PICTURE_ATTRIBUTE = "postfx:picture"
 """Attribute of the part whose R, G, B and A are the result, so that these are read and not the render beside them."""
 
 
@@ -160,7 +160,7 @@ def part_of(index: int, spec: oiio.ImageSpec, attributes: Mapping[str, Any]) -> 
         data=_window(spec.x, spec.y, spec.width, spec.height),
         display=display,
         area=display,
-        is_picture=PICTURE in attributes,
+        is_picture=PICTURE_ATTRIBUTE in attributes,
     )
 
 

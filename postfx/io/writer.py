@@ -24,7 +24,7 @@ from postfx.io.exr.passthrough import enlargement_of, select_attributes, set_att
 from postfx.io.exr.picture import Picture, light_of, tag_light, to_halves, write_exr
 from postfx.io.image_file import reason_of
 from postfx.io.jpeg import JPEG_SUFFIXES, write_jpeg
-from postfx.io.pattern import PLANE, VIEW, Pattern, parse_pattern, split_folder
+from postfx.io.pattern import PLANE_FIELD, VIEW_FIELD, Pattern, parse_pattern, split_folder
 from postfx.io.png import OWN_CHANNELS, write_png
 from postfx.io.quantisation import Dither, quantise
 from postfx.io.sequence import Sequence
@@ -39,15 +39,21 @@ WRITABLE = LINEAR_FORMATS + DISPLAY_FORMATS
 _VIDEOS = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".gif")
 _DEEP = (".tif", ".tiff")  # 16 bits, which PNG has for HDR displays if not told otherwise
 _LEVELLED = ("dwaa", "dwab")
-_PNG_LEVEL, _PNG_PAETH = 3, 128  # with alpha: half the time of level 6 and a filter chosen for each row, for 4 % more
+
+# With alpha: half the time of level 6 and a filter chosen for each row, for 4 % more
+_PNG_LEVEL = 3
+_PNG_PAETH = 128
+
 _STORAGE = {"float16": "half", "float32": "float", "uint16": "uint16", "uint8": "uint8"}
 SRGB_DISPLAY = parse_display("srgb")
 LEAST_FACTOR = np.float32(1 / 256)
 """Black in 8 bits: what light that reached a place without colour is divided by."""
-MOST_HALF, BEYOND_HALF = 65504, np.float32(65520)
-"""The largest half float, and the least number that is not rounded to it."""
+MOST_HALF = 65504
+"""The largest half float."""
+BEYOND_HALF = np.float32(65520)
+"""The least number that is not rounded to the largest half float."""
 _BEYOND_HALF = int(BEYOND_HALF.view(np.uint32))
-ERROR_LAYER = "error.V"
+ERROR_CHANNEL = "error.V"
 OVERLAY_LAYER = ("overlay.R", "overlay.G", "overlay.B", "overlay.A")
 
 
@@ -375,7 +381,7 @@ def _part_channels(frame: Frame) -> tuple[str, ...]:
 
 def _further_channels(frame: Frame) -> tuple[str, ...]:
     """Names of the channels behind the picture's."""
-    overlay, error = OVERLAY_LAYER if _has_layer(frame) else (), (ERROR_LAYER,) * (Role.ERROR in frame)
+    overlay, error = OVERLAY_LAYER if _has_layer(frame) else (), (ERROR_CHANNEL,) * (Role.ERROR in frame)
     return (*overlay, *_part_channels(frame), *error)
 
 
@@ -433,11 +439,11 @@ class OutputFiles:
         if len(sequence) > 1 and not self._pattern.is_numbered:
             stem, suffix = Path(target).stem, Path(target).suffix
             raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like {stem}.####{suffix}")
-        if VIEW in os.path.dirname(self._pattern.prefix):
-            raise WriteError(f"{self._pattern}: all views go into one folder: put {VIEW} into the file's name")
+        if VIEW_FIELD in os.path.dirname(self._pattern.prefix):
+            raise WriteError(f"{self._pattern}: all views go into one folder: put {VIEW_FIELD} into the file's name")
         if sequence.pattern.has_views and sequence.views and not self.has_views:
             raise WriteError(f"{target}: one file for {len(sequence.views) + 1} views, which have files of their own: "
-                             f"put {VIEW} into the name, or choose one with --view NAME")
+                             f"put {VIEW_FIELD} into the name, or choose one with --view NAME")
         self._refuse_inputs(sequence)
 
     @property
@@ -528,15 +534,15 @@ def check_folder(folder: Path, option: str) -> None:
 def _output_pattern(target: str, source: Pattern) -> Pattern:
     if not is_utf8(target):
         raise WriteError(f"{make_printable(target)}: is not UTF-8: choose another name")
-    if PLANE in split_folder(target)[1]:
-        raise WriteError(f"{target}: {PLANE} is for input: leave it out, the AOVs of a frame go into one file")
+    if PLANE_FIELD in split_folder(target)[1]:
+        raise WriteError(f"{target}: {PLANE_FIELD} is for input: leave it out, the AOVs of a frame go into one file")
     if not (target.endswith("/") or os.path.isdir(target) or not Path(target).suffix):
         return parse_pattern(target)
-    start, end = source.prefix.rpartition("/")[2].replace(PLANE, "frame"), source.suffix
+    start, end = source.prefix.rpartition("/")[2].replace(PLANE_FIELD, "frame"), source.suffix
     if source.is_numbered:
         end = os.path.splitext(f"n{end}")[0][1:]
     else:
         start = os.path.splitext(start)[0]
-    if source.has_views and VIEW not in start + end:
-        start = f"{VIEW}.{start}"
+    if source.has_views and VIEW_FIELD not in start + end:
+        start = f"{VIEW_FIELD}.{start}"
     return Pattern(start, f"{end}.exr", source.digits, f"{target.rstrip('/')}/")

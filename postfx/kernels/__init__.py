@@ -133,9 +133,9 @@ class Kernel:
 
 # Sources of kernels
 
-SOURCES = _PACKAGE
+KERNEL_SOURCES = _PACKAGE
 """Where our kernels lie, beside the modules that their constants come from."""
-SHARED = SOURCES / "kernels"
+SHARED = KERNEL_SOURCES / "kernels"
 _KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(')
 _NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
 _TYPES = {int: "int", np.float64: "double"}
@@ -144,7 +144,7 @@ _TYPES = {int: "int", np.float64: "double"}
 
 def find_source(kernel: Kernel) -> Path | None:
     """The file that holds a kernel; None where it is not written for CUDA."""
-    return _families(kernel.home or SOURCES).get(kernel.name)
+    return _families(kernel.home or KERNEL_SOURCES).get(kernel.name)
 
 
 @cache
@@ -154,7 +154,7 @@ def read_source(family: Path) -> str:
     A plug-in's `#include <postfx/mlp.cuh>` becomes that header."""
     view = (SHARED / "view.cuh").read_text()
     files = [path for path in (family.with_suffix(".cuh"), family) if path.exists()]
-    if not family.is_relative_to(SOURCES):
+    if not family.is_relative_to(KERNEL_SOURCES):
         own = "".join(path.read_text() for path in files)
         return view + own.replace("#include <postfx/mlp.cuh>", _with_headers(SHARED / "mlp.cuh"), 1)
     own = "".join(map(_with_headers, files))
@@ -185,7 +185,7 @@ def constants_of(family: Path, source: str) -> dict[str, Any]:
     NAME_LOW and NAME_HIGH."""
     modules = [__name__, "postfx.kernels.denoise"]
     if family.with_suffix(".py").exists():
-        modules.append(".".join(("postfx", *family.relative_to(SOURCES).with_suffix("").parts)))
+        modules.append(".".join(("postfx", *family.relative_to(KERNEL_SOURCES).with_suffix("").parts)))
     known: dict[str, Any] = {}
     for module in modules:
         known |= vars(import_module(module))
@@ -208,5 +208,5 @@ def print_constants(constants: Mapping[str, Any]) -> str:
 @cache
 def _families(folder: Path) -> dict[str, Path]:
     """Every kernel's file by the kernel's name: below our folder, or in a plug-in's."""
-    sources = sorted(folder.rglob("*.cu") if folder == SOURCES else folder.glob("*.cu"))
+    sources = sorted(folder.rglob("*.cu") if folder == KERNEL_SOURCES else folder.glob("*.cu"))
     return {name: path for path in sources for name in _KERNEL.findall(path.read_text())}

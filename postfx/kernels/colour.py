@@ -70,7 +70,12 @@ def form_of(cube: np.ndarray, on_gpu: bool) -> tuple[Kernel, np.ndarray]:
 
 STEPS = 4096
 ROOT = 8
-CODES, MOST, EXPONENT = 9, 10, 11  # places in `params`
+
+# Places in `params`
+CODES = 9
+MOST = 10
+EXPONENT = 11
+
 DARK = 1e-9
 RED, GREEN, BLUE = map(np.float32, LUMA_REC2020)
 

@@ -34,13 +34,14 @@ RESAMPLE = Kernel("resample", ("image", "rows", "columns"), ("output",), Rows("r
                   {"image": ("h", "w", "channels"), "rows": ("height",), "columns": ("width",),
                    "output": ("height", "width", "channels")}, pixels=(2, 2))
 
-RGBA, COLOUR, ALPHA = (("height", "width", channels) for channels in (4, 3, 1))
-ENLARGE = Kernel("overlay_enlarge", ("image", "rows", "columns"), ("output",), Rows("overlay_enlarge"), ("output", 0),
-                 {"image": ("h", "w", 4), "rows": ("height",), "columns": ("width",), "output": RGBA})
+RGBA_SHAPE, COLOUR_SHAPE, ALPHA_SHAPE = (("height", "width", channels) for channels in (4, 3, 1))
+ENLARGE_OVERLAY = Kernel("overlay_enlarge", ("image", "rows", "columns"), ("output",), Rows("overlay_enlarge"),
+                         ("output", 0),
+                         {"image": ("h", "w", 4), "rows": ("height",), "columns": ("width",), "output": RGBA_SHAPE})
 OVER = Kernel("overlay_over", ("overlay", "colour"), ("output",), Rows("overlay_over"), ("output", 0),
-              {"overlay": RGBA, "colour": COLOUR, "output": COLOUR})
+              {"overlay": RGBA_SHAPE, "colour": COLOUR_SHAPE, "output": COLOUR_SHAPE})
 OVER_ALPHA = Kernel("overlay_over_alpha", ("overlay", "alpha"), ("output",), Rows("overlay_over_alpha"), ("output", 0),
-                    {"overlay": RGBA, "alpha": ALPHA, "output": ALPHA})
+                    {"overlay": RGBA_SHAPE, "alpha": ALPHA_SHAPE, "output": ALPHA_SHAPE})
 
 
 def turns(size: int, side: float) -> np.ndarray:

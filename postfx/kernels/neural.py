@@ -34,7 +34,8 @@ import numpy as np
 from postfx.compiled.library import Rows
 from postfx.kernels import Blocks, Kernel
 
-MOST_LAYERS, MOST_WIDTH = 5, 128
+MOST_LAYERS = 5
+MOST_WIDTH = 128
 LAYERS, INPUTS, ENCODED, BANDS, ACTIVATION, SIZES = range(6)
 FACTS = SIZES + MOST_LAYERS + 1
 ACTIVATIONS = ("relu", "gelu", "sine")
@@ -48,15 +49,15 @@ UNITS = np.float64(2**44)
 MOST_PULL = 2.0**17
 """The largest derivative that `GRID_PULL` adds to an entry; NaN adds nothing."""
 
-_SHAPES: dict[str, tuple[int | str, ...]] = {
+_NETWORK_SHAPES: dict[str, tuple[int | str, ...]] = {
     "network": (FACTS,), "parameters": ("count",), "points": ("points", "inputs")}
 FORWARD = Kernel(
     "neural_forward", ("network", "parameters", "points"), ("values",), Rows("neural_forward"), ("values", 0),
-    {**_SHAPES, "values": ("points", "outputs")}, blocks=Blocks(64, THREADS, 224 << 10, 132))
+    {**_NETWORK_SHAPES, "values": ("points", "outputs")}, blocks=Blocks(64, THREADS, 224 << 10, 132))
 GRADIENTS = Kernel(
     "neural_gradients", ("network", "parameters", "points", "targets"), ("partials", "pulls"), Rows("neural_gradients"),
-    ("partials", 0),
-    {**_SHAPES, "targets": ("points", "outputs"), "partials": ("groups", "sums"), "pulls": ("pulled", "inputs")},
+    ("partials", 0), {**_NETWORK_SHAPES, "targets": ("points", "outputs"), "partials": ("groups", "sums"),
+                      "pulls": ("pulled", "inputs")},
     blocks=Blocks(1, THREADS, 224 << 10))
 ADAM = Kernel(
     "neural_adam", ("partials", "hyper", "parameters", "moments"), ("parameters", "moments"), Rows("neural_adam"),

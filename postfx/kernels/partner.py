@@ -22,16 +22,17 @@ MOST_LIGHT = np.float32(1e30)
 """Exposed light: more counts as this much."""
 MOST_MOVED = np.float32(1 << 24)
 """Pixels: beyond, float32 has no fractions, and the place lies outside of any picture."""
-PICTURE = ("height", "width", 3)
+PICTURE_SHAPE = ("height", "width", 3)
 MIX_PARTNER = Kernel(
     name="mix_partner",
     reads=("colour", "partner", "history", "motion", "weight", "strength", "settings"),
     writes=("output",),
     rows=Rows("mix_partner"),
     row_axis=("output", 0),
-    shapes={"colour": PICTURE, "partner": PICTURE, "history": PICTURE, "motion": ("motion_h", "motion_w", 2),
+    shapes={"colour": PICTURE_SHAPE, "partner": PICTURE_SHAPE, "history": PICTURE_SHAPE,
+            "motion": ("motion_h", "motion_w", 2),
             "weight": ("weight_h", "weight_w", 1), "strength": ("strength_h", "strength_w", 1), "settings": (4,),
-            "output": PICTURE},
+            "output": PICTURE_SHAPE},
 )
 
 ENLARGE_MOTION = Kernel(

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from postfx.colour import WIDER
+from postfx.colour import TO_WIDER_PRIMARIES
 from postfx.compiled.calls import whole
 from postfx.compiled.library import Rows
 from postfx.planes import share
@@ -170,7 +170,7 @@ def true_correlation(before: np.ndarray, now: np.ndarray, least_spread: float, l
 
 # Light outside the gamut
 
-LOOKED_AT = 128
+LOOKED_AT_PX = 128
 """Pixels along a side that are looked at for light outside the gamut, up to twice as many."""
 OUTSIDE = 0.006
 """From this share of light outside the gamut on, it is worth denoising in wider primaries: they gained 0.7 dB at 0.008.
@@ -184,7 +184,7 @@ def light_outside(colour: np.ndarray) -> float:
     decide nothing. Grey light below 0, as pixel filters leave it beside bright edges, does not count, nor do pixels
     without any positive number.
     """
-    down, right = (max(1, side // LOOKED_AT) for side in colour.shape[:2])
+    down, right = (max(1, side // LOOKED_AT_PX) for side in colour.shape[:2])
     pixels = colour[::down, ::right].reshape(-1, 3)
     if not (pixels < 0).any():
         return 0.0
@@ -193,5 +193,5 @@ def light_outside(colour: np.ndarray) -> float:
     lit = brightest > 0
     seen = pixels[lit] / (np.exp(np.log(brightest[lit]).mean()) + brightest[lit])[:, None] if lit.any() else pixels
     mixed = seen[seen.max(1, initial=-1.0) > 0]
-    gained = np.minimum(mixed @ WIDER.T, 0).sum() - np.minimum(mixed, 0).sum()
+    gained = np.minimum(mixed @ TO_WIDER_PRIMARIES.T, 0).sum() - np.minimum(mixed, 0).sum()
     return float(gained / max(np.abs(seen).sum(), 1e-12))

@@ -60,10 +60,14 @@ LIGHT = Kernel(
     shapes={"lowres": (1, 3, SIDE, SIDE), "light": (SIDE, 3)},
 )
 
-LAG, JUMP = np.float64(1 / 4), np.float64(1 / 16)
-"""Stops: a camera that crossed a staircase in 8 frames moved the mean by 0.17, by no more than 0.04 in a frame."""
-RELEASE, MOST = np.float64(0.95), np.float64(1e4)
-"""Stops between two lights that cannot be, as is NaN: there is no past, then."""
+# Stops: a camera that crossed a staircase in 8 frames moved the mean by 0.17, by no more than
+# 0.04 in a frame.
+LAG = np.float64(1 / 4)
+JUMP = np.float64(1 / 16)
+
+# Stops between two lights that cannot be, as is NaN: there is no past, then.
+RELEASE = np.float64(0.95)
+MOST = np.float64(1e4)
 
 FOLLOW = Kernel(
     name="follow",
@@ -74,18 +78,19 @@ FOLLOW = Kernel(
     shapes={"light": (SIDE, 3), "params": (4,), "before": (1, 4), "after": (1, 4)},
 )
 
-LEVELS, COEFFICIENTS = 8, 12
-GRID = (1, 16, 16, LEVELS, COEFFICIENTS)
+LEVELS = 8
+COEFFICIENTS = 12
+GRID_SHAPE = (1, 16, 16, LEVELS, COEFFICIENTS)
 BROKEN = np.float32(1e4)
 """Change beyond that of any grid, as is NaN: there `previous` counts for nothing."""
 
-SMOOTH = Kernel(
+SMOOTH_GRID = Kernel(
     name="smooth",
     reads=("previous", "current", "keep"),
     writes=("result",),
     rows=Rows("smooth"),
     row_axis=("result", 1),
-    shapes={"previous": GRID, "current": GRID, "keep": (1, 4), "result": GRID},
+    shapes={"previous": GRID_SHAPE, "current": GRID_SHAPE, "keep": (1, 4), "result": GRID_SHAPE},
 )
 
 MOST_STOPS = np.float64(64)
@@ -102,7 +107,9 @@ EXPOSE = Kernel(
 
 KNOTS = 16
 GUIDE_SIZE = 9 + 3 + 6 * KNOTS + 3 + 1
-SHIFTS, SLOPES, MIX = 12, 12 + 3 * KNOTS, 12 + 6 * KNOTS
+SHIFTS = 12
+SLOPES = 12 + 3 * KNOTS
+MIX = 12 + 6 * KNOTS
 
 SLICE_APPLY = Kernel(
     name="slice_apply",
@@ -115,7 +122,7 @@ SLICE_APPLY = Kernel(
         "params": (3,),
         "matrix": (9,),
         "guide": (GUIDE_SIZE,),
-        "grid": GRID,
+        "grid": GRID_SHAPE,
         "cube": ("size", "size", "size", 3),
         "output": ("height", "width", 3),
     },

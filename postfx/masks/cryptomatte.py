@@ -22,7 +22,7 @@ AUTO = "auto"
 """The name that stands for sky and misses."""
 CONVERGED = "converged"
 """The word for converged pixels, before : and a threshold."""
-_RANGE = re.compile(r"(-?\d+)(?:-(-?\d+))?")
+_NUMBER_RANGE = re.compile(r"(-?\d+)(?:-(-?\d+))?")
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def _parse_entry(word: str, text: str) -> Entry:
 
 def id_range(entry: Entry) -> tuple[int, int]:
     """First and last id of an entry such as '7' or '7-9'; StrengthError for anything else."""
-    found = _RANGE.fullmatch(entry.name)
+    found = _NUMBER_RANGE.fullmatch(entry.name)
     if found is None:
         raise StrengthError(f"'{entry.name}' of AOV {entry.plane}: give an id, or first and last, such as 7-9")
     first, last = int(found[1]), int(found[2] or found[1])
@@ -170,10 +170,10 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-LEAST = 1e-3
+ROUNDED_STRENGTH = 1e-3
 """Strengths this close to 0 or 1 become 0 or 1, because shares do not add up to exactly 1."""
-NEAREST = 5
-_BITS = 0xFFFFFFFF
+MOST_SUGGESTED_NAMES = 5
+_HASH_MASK = 0xFFFFFFFF
 Key = TypeVar("Key")
 
 
@@ -219,7 +219,7 @@ class Cryptomatte:
 
         names = list(self.manifest or ())
         folded = {name.lower(): name for name in names}
-        return [folded[name] for name in get_close_matches(entry.name.lower(), folded, NEAREST, 0.4)]
+        return [folded[name] for name in get_close_matches(entry.name.lower(), folded, MOST_SUGGESTED_NAMES, 0.4)]
 
     def _check(self, name: str, found: int) -> int:
         """The id that the manifest gives a name, if it is the name's hash."""
@@ -237,7 +237,7 @@ def _parse_id(text: str) -> int:
         found = int(text, 16)
     except ValueError:
         raise wrong from None
-    if found > _BITS:
+    if found > _HASH_MASK:
         raise wrong
     return found
 
@@ -255,7 +255,8 @@ def strength_from_cryptomatte(
     planes = list(np.moveaxis(ranks, -1, 0)) if isinstance(ranks, np.ndarray) else list(ranks)
     if not planes or len(planes) % 2:
         raise StrengthError(f"{len(planes)} AOVs of a Cryptomatte: give an id and its coverage for each rank")
-    table = {id_of_name(key) if isinstance(key, str) else int(key) & _BITS: value for key, value in strengths.items()}
+    table = {id_of_name(key) if isinstance(key, str) else int(key) & _HASH_MASK: value
+             for key, value in strengths.items()}
     if not all(0 <= value <= 1 for value in table.values()):
         raise StrengthError(f"strengths {min(table.values()):g} to {max(table.values()):g}: give 0 to 1")
     lost = share_of(planes, {key: 1 - value for key, value in table.items()})
@@ -299,24 +300,24 @@ def split_shares(owned: Sequence[Mapping[Key, np.ndarray]], keys: Sequence[Key])
 def snap(strength: np.ndarray) -> np.ndarray:
     """Strengths clipped to 0..1, those close to 0 or 1 moved there; float32 of any shape."""
     strength = np.clip(strength, 0, 1).astype(np.float32)
-    strength[strength < LEAST] = 0
-    strength[strength > 1 - LEAST] = 1
+    strength[strength < ROUNDED_STRENGTH] = 0
+    strength[strength > 1 - ROUNDED_STRENGTH] = 1
     return strength
 
 
 def _murmur3(data: bytes) -> int:
     found, whole = 0, len(data) // 4 * 4
     for at in range(0, whole, 4):
-        found = _rotate(found ^ _mix(int.from_bytes(data[at:at + 4], "little")), 13) * 5 + 0xE6546B64 & _BITS
+        found = _rotate(found ^ _mix(int.from_bytes(data[at:at + 4], "little")), 13) * 5 + 0xE6546B64 & _HASH_MASK
     found ^= _mix(int.from_bytes(data[whole:], "little")) ^ len(data)
-    found = (found ^ found >> 16) * 0x85EBCA6B & _BITS
-    found = (found ^ found >> 13) * 0xC2B2AE35 & _BITS
+    found = (found ^ found >> 16) * 0x85EBCA6B & _HASH_MASK
+    found = (found ^ found >> 13) * 0xC2B2AE35 & _HASH_MASK
     return found ^ found >> 16
 
 
 def _mix(word: int) -> int:
-    return _rotate(word * 0xCC9E2D51 & _BITS, 15) * 0x1B873593 & _BITS
+    return _rotate(word * 0xCC9E2D51 & _HASH_MASK, 15) * 0x1B873593 & _HASH_MASK
 
 
 def _rotate(word: int, count: int) -> int:
-    return (word << count | word >> 32 - count) & _BITS
+    return (word << count | word >> 32 - count) & _HASH_MASK

@@ -21,7 +21,7 @@ from postfx.colour import luminance
 from postfx.errors import StrengthError
 from postfx.frame import DEPTH_MISS, ERROR_ROLES, VARIANCES, Role
 from postfx.masks.cryptomatte import Entry, snap
-from postfx.sampling import BAND, bands, local_maximum, local_mean, local_sum
+from postfx.sampling import BAND_ROWS, bands, local_maximum, local_mean, local_sum
 
 SOFT = 2
 """Radius by which pixels that need denoising are grown, and then averaged."""
@@ -29,13 +29,13 @@ SOFT = 2
 MISS_READS = (Role.COLOUR, Role.ALPHA, Role.DEPTH, Role.NORMAL, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 """Planes that are read if the frame has them."""
 
-BLOCK = 8
+NOISE_BLOCK_PX = 8
 """Side, in pixels, of the squares in which noise is measured."""
-FEWEST = 8
+FEWEST_MEASURED_PIXELS = 8
 """Least number of measured pixels for the noise of a square to count."""
 SPANS = (1, 2)
 """Distances in pixels at which neighbours are compared: a renderer's filter makes closer ones alike."""
-NOISE = (0.008, 0.02)
+VISIBLE_NOISE = (0.008, 0.02)
 """Standard deviation over mean, from invisible to visible: the display curve sqrt(y / (1 + y)) turns it into at most
 0.0015 to 0.004, as in `postfx.kernels.denoise.output`."""
 CROWD = (0.15, 0.35)
@@ -68,8 +68,9 @@ def misses_in_bands(
     noise = _noise_strength(planes, see_through, relax)
     for first, last, top, bottom in bands(height, GROWN + 2 * SOFT):
         kept = ~_misses({role: plane[top:bottom] for role, plane in planes.items()}, see_through)
-        rows, inner = np.arange(top, bottom) // BLOCK, slice(first - top, last - top)
-        found = np.maximum(local_maximum(kept.astype(np.float32), GROWN), noise[rows][:, np.arange(width) // BLOCK])
+        rows, inner = np.arange(top, bottom) // NOISE_BLOCK_PX, slice(first - top, last - top)
+        found = np.maximum(local_maximum(kept.astype(np.float32), GROWN),
+                           noise[rows][:, np.arange(width) // NOISE_BLOCK_PX])
         soft = local_mean(local_maximum(found, SOFT)[:, :, None], SOFT)
         yield slice(first, last), snap(soft[inner]), kept[inner].size - int(kept[inner].sum())
         if relax:
@@ -88,8 +89,8 @@ def misses_of(planes: Mapping[Role, np.ndarray]) -> np.ndarray:
 
 def _is_transparent(planes: Mapping[Role, np.ndarray]) -> bool:
     """Whether alpha means coverage; if it is 1 everywhere, the environment is opaque."""
-    return Role.ALPHA in planes and any((planes[Role.ALPHA][top:top + BAND] < 1).any()
-                                        for top in range(0, planes[Role.ALPHA].shape[0], BAND))
+    return Role.ALPHA in planes and any((planes[Role.ALPHA][top:top + BAND_ROWS] < 1).any()
+                                        for top in range(0, planes[Role.ALPHA].shape[0], BAND_ROWS))
 
 
 def _misses(planes: Mapping[Role, np.ndarray], see_through: bool) -> np.ndarray:
@@ -114,11 +115,11 @@ def _noise_strength(
             relax()
     power, count, light, lit = np.concatenate(sums, axis=1)
     broken = ~np.isfinite(power)
-    known = (count >= FEWEST) | broken
+    known = (count >= FEWEST_MEASURED_PIXELS) | broken
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(power > 0, np.sqrt(power / count) * lit / np.abs(light), 0)
     noise = np.where(broken, np.inf, np.where(known, ratio, 0))
-    strength = np.clip((noise - NOISE[0]) / (NOISE[1] - NOISE[0]), 0, 1)
+    strength = np.clip((noise - VISIBLE_NOISE[0]) / (VISIBLE_NOISE[1] - VISIBLE_NOISE[0]), 0, 1)
     crowd = (strength * count).sum() / max(1.0, (count * known).sum())
     least = np.clip((crowd - CROWD[0]) / (CROWD[1] - CROWD[0]), 0, 1)
     near = local_maximum(known.astype(np.float32), 1) > 0
@@ -155,11 +156,11 @@ def _sum_across(plane: np.ndarray, span: int, weights: tuple[int, int, int]) -> 
 
 
 def _square_sums(plane: np.ndarray) -> np.ndarray:
-    """Sums over squares of `BLOCK` pixels, float64; squares at the end may be smaller."""
-    missing = [(0, -side % BLOCK) for side in plane.shape]
+    """Sums over squares of `NOISE_BLOCK_PX` pixels, float64; squares at the end may be smaller."""
+    missing = [(0, -side % NOISE_BLOCK_PX) for side in plane.shape]
     padded = np.pad(plane.astype(np.float64), missing)
-    rows, columns = (side // BLOCK for side in padded.shape)
-    sums: np.ndarray = padded.reshape(rows, BLOCK, columns, BLOCK).sum((1, 3))
+    rows, columns = (side // NOISE_BLOCK_PX for side in padded.shape)
+    sums: np.ndarray = padded.reshape(rows, NOISE_BLOCK_PX, columns, NOISE_BLOCK_PX).sum((1, 3))
     return sums
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-ROUNDS = 8
+WEIGHTING_ROUNDS = 8
 """Of weighting."""
 LEAST_ERROR_PX = 0.02
 """The error that exact vectors have at least."""
@@ -52,7 +52,7 @@ def fit_camera(now: np.ndarray, before: np.ndarray, near: np.ndarray, pixel: flo
     equations = camera_equations(now, before, near)
     right = before.T.reshape(-1) - equations @ start
     weights = np.ones(len(now))
-    for _ in range(ROUNDS):
+    for _ in range(WEIGHTING_ROUNDS):
         weighted = equations * np.tile(weights, 2)[:, None]
         normal = weighted.T @ equations + 1e-9 * len(now) * np.eye(start.size)
         change = np.linalg.solve(normal, weighted.T @ right)

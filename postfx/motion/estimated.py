@@ -24,14 +24,19 @@ from postfx.motion.flow import consistent_motion, enlarge_motion, estimate_motio
 from postfx.system import usable_cores
 from postfx.workers import Workers
 
-MOST = 640
+MOST_SIDE_PX = 640
 """Pixels of a picture's longer side; larger frames are halved, or taken in thirds, and so on."""
 
-_POINTS, _LEAST_POINTS, _ALIGNED, _ROUNDS = 2000, 64, 4000, 5
+_FITTED_POINTS = 2000
+_FEWEST_FITTED_POINTS = 64
+_ALIGNED_POINTS = 4000
+_ALIGNING_ROUNDS = 5
 # Least share of points that the fit must explain, and the most of the picture's own contrast that it may leave.
-_FITTING, _RELATED = 0.4, 0.5
+_FITTING = 0.4
+_RELATED = 0.5
 # What a thing that moves must leave of the camera's misfit, and by how much less.
-_BETTER, _LESS = np.float32(0.6), np.float32(0.02)
+_BETTER = np.float32(0.6)
+_LESS = np.float32(0.02)
 # A camera is at rest where that leaves at most this share of what its motion leaves; flow alone follows noise, too.
 _AS_WELL = 1.02, 1.25
 
@@ -59,7 +64,7 @@ def picture_of(frame: Frame) -> Picture | None:
     if held is None:
         return None
     height, width = held.shape[:2]
-    step = math.ceil(max(height, width) / MOST)
+    step = math.ceil(max(height, width) / MOST_SIDE_PX)
     means = np.empty((-(-height // step), -(-width // step)), np.float32)
     planes = (np.zeros((1, 1, 3)) if plane is None else plane for plane in (albedo, normal))
     _shade(0, len(means), *(whole(plane, np.float32) for plane in planes), np.array([step], np.float32), means)
@@ -132,11 +137,11 @@ def _camera(one: np.ndarray, other: np.ndarray, flow: np.ndarray, depth: np.ndar
                for count, side in zip(one.shape, (height, width), strict=True)]
     near_plane = depth[..., 0][np.ix_(*middles)]
     hit = (near_plane > 0) & (near_plane < DEPTH_MISS)
-    thin = max(1, round(math.sqrt(one.size / _POINTS)))
+    thin = max(1, round(math.sqrt(one.size / _FITTED_POINTS)))
     some = np.zeros(one.shape, bool)
     some[::thin, ::thin] = True
     rows, columns = np.nonzero(some & hit & np.isfinite(flow[..., 0]))
-    if rows.size < _LEAST_POINTS:
+    if rows.size < _FEWEST_FITTED_POINTS:
         return None
     median = float(np.median(near_plane[rows, columns]))
     whole = max(width, 1) / step  # width of the frame in pixels of the picture
@@ -159,20 +164,20 @@ def _align(one: np.ndarray, other: np.ndarray, found: np.ndarray, near: np.ndarr
     slope[:2], slope[-2:], slope[:, :2], slope[:, -2:] = 0, 0, 0, 0
     slope[near == 0] = 0  # misses may be fog, or glass, whose planes move like something nearer
     rows, columns = np.nonzero(slope > max(2 * float(np.median(slope)), 0.01))
-    if rows.size < _LEAST_POINTS:
+    if rows.size < _FEWEST_FITTED_POINTS:
         return found
-    every = max(1, rows.size // _ALIGNED)
+    every = max(1, rows.size // _ALIGNED_POINTS)
     rows, columns = rows[::every], columns[::every]
     now, close = centre_positions(rows, columns, *shape), near[rows, columns].astype(np.float64)
     value, g_x, g_y = (plane[rows, columns].astype(np.float64) for plane in (one, right, down))
     there, best, least, scale = np.empty((rows.size, 3), np.float32), found, math.inf, 0.0
-    for _ in range(_ROUNDS + 1):
+    for _ in range(_ALIGNING_ROUNDS + 1):
         place = np.append(found[:8], 1).reshape(3, 3) @ now.T + found[8:, None] * close
         before = (place[:2] / place[2]).T
         places = before.T[::-1] * shape[1] + np.array([[shape[0]], [shape[1]]]) / 2 - 0.5
         _sample(0, len(there), other, whole(places, np.float64), there)
         inside = np.isfinite(there[:, 0])
-        if inside.sum() < _LEAST_POINTS:
+        if inside.sum() < _FEWEST_FITTED_POINTS:
             break
         # mean slope of both pictures (Malis 2004), which converges faster than one of them alone
         x, y = (g_x + there[:, 1]) / 2, (g_y + there[:, 2]) / 2

@@ -10,7 +10,7 @@ import numpy as np
 from postfx.colour import REC709, matrix_between
 from postfx.colour.displays import Display as Target
 from postfx.colour.displays import parse_display
-from postfx.colour.views import SCALE, TOE, VIEWS, bake, find_view, is_view
+from postfx.colour.views import AXIS_SCALE, AXIS_TOE, VIEWS, bake, find_view, is_view
 from postfx.errors import ColourError, PassOptionError, suggest
 from postfx.frame import LINEAR, FrameSpec, Role
 from postfx.kernels import BRIGHTEST
@@ -20,7 +20,7 @@ from postfx.passes.registry import create
 from postfx.plan import Skip
 from postfx.runtime import CommandBuffer, Device, Library
 
-ROWS = 32
+THREAD_ROWS = 32
 """Rows of a picture that one thread shows at a time."""
 
 
@@ -164,7 +164,7 @@ class View(Pass):
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame) -> None:
         super().encode(commands, frame)
-        self._params.put(np.array([frame.exposure_factor, TOE, SCALE], np.float32))
+        self._params.put(np.array([frame.exposure_factor, AXIS_TOE, AXIS_SCALE], np.float32))
         commands.run(self._state, "view", colour=frame[Role.COLOUR], params=self._params, output=self._output,
                      **self._cube)
         frame.set(Role.COLOUR, self._output)
@@ -176,12 +176,12 @@ class View(Pass):
         matrix, most = self._matrix() * float(params[0]), float(BRIGHTEST)
 
         def show_rows(first: int) -> None:
-            rows = slice(first, first + ROWS)
+            rows = slice(first, first + THREAD_ROWS)
             light = np.nan_to_num(colour[rows].astype(np.float64), posinf=most, neginf=-most) @ matrix.T
             output[rows] = self._view.apply(np.clip(light, -most, most))
 
         with ThreadPoolExecutor(self._threads) as workers:
-            list(workers.map(show_rows, range(0, len(colour), ROWS)))
+            list(workers.map(show_rows, range(0, len(colour), THREAD_ROWS)))
 
 
 def is_shown(is_picture: bool, tonemap: str | None = None, display: str | None = None, **_: object) -> bool:

@@ -16,7 +16,7 @@ from postfx.kernels.image import CHECKERBOARD, OVER, OVER_ALPHA, turns
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device
 
-VARIABLE = "POSTFX_EXPOSURE_TOOL"
+TOOL_VARIABLE = "POSTFX_EXPOSURE_TOOL"
 CELLS = 9
 """Cells from top to bottom."""
 STOPS = 0.25
@@ -51,7 +51,7 @@ class ExposureTool(Pass):
 
     def remarks(self, spec: FrameSpec) -> tuple[str, ...]:
         covered = "a part of the picture" if self.options["part"] else "the picture"
-        return (f"a checkerboard covers {covered}, unset {VARIABLE} to see it",)
+        return (f"a checkerboard covers {covered}, unset {TOOL_VARIABLE} to see it",)
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         if self.options["part"]:
@@ -119,13 +119,14 @@ def cells(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
 
 def asked_form() -> Literal["whole", "part"] | None:
     """The board that the environment asks for. Raises ExposureError for a word that means none."""
-    word = os.environ.get(VARIABLE, "").strip().lower()
+    word = os.environ.get(TOOL_VARIABLE, "").strip().lower()
     if word in ("", "0", "false", "off", "no"):
         return None
     if word in ("1", "true", "on", "yes"):
         return "whole"
     if word != "part":
-        raise ExposureError(f"{VARIABLE}={word}: use 1, part (a board at the lower left, beside the picture), or 0")
+        raise ExposureError(f"{TOOL_VARIABLE}={word}: use 1, part (a board at the lower left, beside the picture), or "
+                            "0")
     return "part"
 
 

@@ -14,7 +14,7 @@ from postfx.oidn import QUALITIES, OpenImageDenoise, total_albedo
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device
 
-ALBEDOS = (Role.DENOISING_ALBEDO, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+PREFERRED_ALBEDOS = (Role.DENOISING_ALBEDO, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 NORMALS = (Role.DENOISING_NORMAL, Role.NORMAL)
 
 
@@ -44,7 +44,7 @@ class Oidn(Pass):
 
     def reflect(self, spec: FrameSpec) -> Reflection:
         written = (Role.COLOUR, Role.ALPHA) if self._denoises_alpha(spec) else (Role.COLOUR,)
-        albedos = self._albedos(spec) or ALBEDOS
+        albedos = self._albedos(spec) or PREFERRED_ALBEDOS
         return Reflection(reads=(Role.COLOUR,), may_read=(*albedos, *self._normals(spec), *written[1:]), writes=written,
                           output=spec)
 
@@ -59,7 +59,7 @@ class Oidn(Pass):
         return tuple(found)
 
     def packages(self) -> Mapping[str, str]:
-        return {oidn.PACKAGE: oidn.version()}
+        return {oidn.OIDN_PACKAGE: oidn.version()}
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
         kind = "cuda" if device.name.startswith("cuda") and oidn.finds_cuda() else "cpu"
@@ -85,7 +85,7 @@ class Oidn(Pass):
     def _denoise_colour(self, colour: np.ndarray, *others: np.ndarray) -> None:
         *planes, output = others
         known = dict(zip(self._roles[1:], planes, strict=True))
-        albedos = [known[role] for role in ALBEDOS if role in known]
+        albedos = [known[role] for role in PREFERRED_ALBEDOS if role in known]
         aids = {"albedo": total_albedo(*albedos)} if albedos else {}
         for role in NORMALS:
             if role in known:
@@ -105,7 +105,7 @@ class Oidn(Pass):
 
     def _albedos(self, spec: FrameSpec) -> tuple[Role, ...]:
         """The albedos that are added up: one of what is seen in mirrors and glass, too, is enough."""
-        found = tuple(role for role in ALBEDOS if spec.has(role))
+        found = tuple(role for role in PREFERRED_ALBEDOS if spec.has(role))
         return found[:1] if Role.DENOISING_ALBEDO in found else found
 
     def _normals(self, spec: FrameSpec) -> tuple[Role, ...]:

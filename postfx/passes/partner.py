@@ -25,15 +25,15 @@ LASTING = 0.3
 """How much the partner counts in the mean of logarithms at the render's size, however long the history is."""
 WITHOUT_HISTORY = 0.5
 """How much more it counts in a frame without a history; with n frames, itself included, an nth of that."""
-ENLARGED = 0.75
+ENLARGEMENT_POWER = 0.75
 """Its weight falls with this power of the enlargement, as it is enlarged without knowing edges."""
 BACKWARD_FRAMES = 2
 """Frames of history that a run in both directions has where one direction has none."""
-REACH = 0.3
+MIXTURE_REACH_SHARE = 0.3
 """How far the last mixture may lie from that mean, as a share of the way to the nearer picture. More is steadier, but
 keeps what the partner counted when there was no history. On thirteen kinds at 1x, 0.15 has 30.02 dB and flicker 24.9,
 0.3 has 30.01 and 24.6, 0.5 has 29.96 and 24.3."""
-FOLLOWED = (Role.MOTION, Role.STRENGTH)
+MIXING_PLANES = (Role.MOTION, Role.STRENGTH)
 """Planes that the mixture uses where the frame has them."""
 
 
@@ -126,7 +126,7 @@ def partner_weight(frames: int, scale: float = 1.0) -> float:
     On thirteen kinds of content the best weight at the render's size was 0.75 to 0.8 in the first frame and 0.6 to 0.7
     in the third; on five longer sequences 0.75, 0.4, and 0.25 in the eighth; at 2x 0.5, 0.25 to 0.4, and 0.25.
     """
-    weight: float = (LASTING + WITHOUT_HISTORY / frames) / scale**ENLARGED
+    weight: float = (LASTING + WITHOUT_HISTORY / frames) / scale**ENLARGEMENT_POWER
     return weight
 
 
@@ -159,8 +159,8 @@ class MixPartner(Pass):
             raise PassOptionError(f"pass '{self.name}' has strengths 0 to 1, not {self._strength:g}: give one of them")
 
     def reflect(self, spec: FrameSpec) -> Reflection:
-        kept = tuple(plane for plane in spec.planes if plane[0] not in (Role.PARTNER, *FOLLOWED))
-        return Reflection(reads=(Role.COLOUR, Role.PARTNER), may_read=FOLLOWED, writes=(Role.COLOUR,),
+        kept = tuple(plane for plane in spec.planes if plane[0] not in (Role.PARTNER, *MIXING_PLANES))
+        return Reflection(reads=(Role.COLOUR, Role.PARTNER), may_read=MIXING_PLANES, writes=(Role.COLOUR,),
                           output=replace(spec, planes=kept), parts=PartShares(self.options["parts"]).read_of(spec))
 
     def skip(self, spec: FrameSpec) -> str | None:
@@ -188,14 +188,14 @@ class MixPartner(Pass):
         seen = self._frames + 1 if keep else 1
         self._frames = 0 if frame.unusable else seen
         self._outputs.reverse()
-        self._settings.put(np.array([frame.exposure_factor, REACH, keep, self._strength], np.float32))
+        self._settings.put(np.array([frame.exposure_factor, MIXTURE_REACH_SHARE, keep, self._strength], np.float32))
         weight = partner_weight(seen + self._more, self._scale)
         self._weight.put(np.full((1, 1, 1), weight, np.float32))
         whole = frame[Role.COLOUR]
         history, output = self._outputs
         commands.run(MIX_PARTNER, "mix", colour=whole, partner=frame[Role.PARTNER], history=history, output=output,
                      settings=self._settings, weight=self._weight,
-                     **{str(role): frame[role] if role in frame else self._absent[role] for role in FOLLOWED})
+                     **{str(role): frame[role] if role in frame else self._absent[role] for role in MIXING_PLANES})
         self._parts.encode(commands, frame, whole, output)
         frame.set(Role.COLOUR, self._outputs[1])
 

@@ -18,7 +18,7 @@ from postfx.errors import OptionError, PassOptionError, PostfxError, RegistryErr
 from postfx.passes import Pass
 from postfx.version import __version__
 
-GROUP = "postfx.passes"
+ENTRY_POINT_GROUP = "postfx.passes"
 BUILT_IN = {
     "denoise_upscale": "postfx.passes.denoise:DenoiseUpscale",
     "both_ways": "postfx.passes.composite:BothWays",
@@ -35,8 +35,11 @@ BUILT_IN = {
     "scene_shading": "postfx.passes.scene:SceneShading",
 }
 """What an entry point would say of the passes that come with postfx."""
-BEFORE, AFTER = "before", "after"
-"""What says where a pass stands; no pass may have options of these names."""
+
+# What says where a pass stands; no pass may have options of these names.
+PLACE_BEFORE = "before"
+PLACE_AFTER = "after"
+
 _COMMA = re.compile(r",(?=\w+=)")
 
 
@@ -47,7 +50,7 @@ def names() -> tuple[str, ...]:
 
 def load(name: str) -> type[Pass]:
     """The class of a pass. Raises RegistryError if the name is unknown or its target is not a pass of that name."""
-    points = [EntryPoint(name, BUILT_IN[name], GROUP)] if name in BUILT_IN else _installed().get(name, ())
+    points = [EntryPoint(name, BUILT_IN[name], ENTRY_POINT_GROUP)] if name in BUILT_IN else _installed().get(name, ())
     if not points:
         raise RegistryError(f"no pass '{name}'{suggest(name, names()) or ':'} there are {', '.join(names())}")
     if len(points) > 1:
@@ -62,7 +65,7 @@ def load(name: str) -> type[Pass]:
     if getattr(found, "name", None) != name:
         raise RegistryError(f"pass '{name}' points to a class whose name is '{getattr(found, 'name', '')}': "
                             f"set name = \"{name}\" in {found.__qualname__}")
-    if taken := {BEFORE, AFTER} & set(found.defaults):
+    if taken := {PLACE_BEFORE, PLACE_AFTER} & set(found.defaults):
         raise RegistryError(f"pass '{name}' has an option '{taken.pop()}', which says where a pass stands: rename it")
     return found
 
@@ -102,8 +105,8 @@ def _description(name: str) -> list[str]:
         return [f"{name}  ({origin})", f"    {error}"]
     options = ", ".join(key if value is Parameter.empty else f"{key}={_spell(value)}"
                         for key, value in kind.defaults.items())
-    lines = [f"{name}  ({origin})", f"    {(kind.__doc__ or '').strip().partition(chr(10))[0]}",
-             f"    options: {options or 'none'}"]
+    summary = " ".join((kind.__doc__ or "").strip().partition("\n\n")[0].split())
+    lines = [f"{name}  ({origin})", f"    {summary}", f"    options: {options or 'none'}"]
     return lines + [f"    a pass of this name in {package_of(point)} is not used: rename it" for point in hidden]
 
 
@@ -132,7 +135,7 @@ def parse_pass(text: str, flag: str = "--pass") -> PassRequest:
         if key in options:
             raise OptionError(f"{flag} {text}: '{key}' is given twice")
         options[key] = value
-    before, after = options.pop(BEFORE, None), options.pop(AFTER, None)
+    before, after = options.pop(PLACE_BEFORE, None), options.pop(PLACE_AFTER, None)
     if before and after:
         raise OptionError(f"{flag} {text}: a pass stands before or after another one, not both")
     return PassRequest(name, options, before, after)
@@ -205,7 +208,7 @@ def _at(chain: Sequence[Pass], one: PassRequest) -> int | None:
 def _installed() -> dict[str, tuple[EntryPoint, ...]]:
     """Name -> entry points of other packages than postfx."""
     found: dict[str, tuple[EntryPoint, ...]] = {}
-    for point in entry_points(group=GROUP):
+    for point in entry_points(group=ENTRY_POINT_GROUP):
         if BUILT_IN.get(point.name) != point.value:
             found[point.name] = (*found.get(point.name, ()), point)
     return found

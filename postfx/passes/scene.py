@@ -14,7 +14,7 @@ import numpy as np
 
 from postfx.errors import FrameError, ModelError, PassOptionError
 from postfx.frame import DEPTH_MISS, TOLD, Frame, FrameSpec, Role
-from postfx.kernels.occlusion import CAMERA, HORIZONS, SMOOTH, SURFACE
+from postfx.kernels.occlusion import CAMERA, FIND_SURFACE, HORIZONS, SMOOTH_OCCLUSION
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.passes.scene_points import POINT, SceneBox, light_of, points_of
 from postfx.runtime import (
@@ -73,7 +73,7 @@ def _find_model(pass_name: str, model: str) -> tuple[Library, str, tuple[str, ..
 
 # Ambient occlusion ---------------------------------------------------------------------------------
 
-GRID = 16
+SIDE_MULTIPLE_PX = 16
 """Sides of what the network sees are multiples of this."""
 SETTINGS = np.array([0.9, 0.0], np.float32)
 """Of GTAO: share of the radius from which on surfaces count less, and how thin they are."""
@@ -125,7 +125,7 @@ class Occlusion(_Linear):
         return self._choice
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        rows, columns = (-(-side // GRID) * GRID for side in (spec.height, spec.width))
+        rows, columns = (-(-side // SIDE_MULTIPLE_PX) * SIDE_MULTIPLE_PX for side in (spec.height, spec.width))
         state = self._find_network(device, rows, columns) if self.options["network"] else None
         self._choice = "gtao" if state is None else "network"
         self._reads = ("depth", "normal") if spec.has(Role.NORMAL) else ("depth",)
@@ -186,9 +186,9 @@ class Occlusion(_Linear):
         camera[11] *= np.float32(raw.shape[0] / depth.shape[0])
         surface = np.empty((*raw.shape, 4), np.float32)
         height = len(raw)
-        in_bands(height, SURFACE.rows, normal, far, camera, surface)
+        in_bands(height, FIND_SURFACE.rows, normal, far, camera, surface)
         in_bands(height, HORIZONS.rows, surface, camera, SETTINGS, raw)
-        in_bands(height, SMOOTH.rows, surface, raw, smooth)
+        in_bands(height, SMOOTH_OCCLUSION.rows, surface, raw, smooth)
 
     def _darken(self, colour: np.ndarray, visible: np.ndarray, output: np.ndarray) -> None:
         seen = np.clip(visible[_middle(colour.shape, visible.shape)][..., None], 0, 1)
@@ -246,7 +246,7 @@ def _slope(place: np.ndarray, axis: int) -> np.ndarray:
 
 # Networks of one scene -----------------------------------------------------------------------------
 
-BRIGHTEST = 1e6
+MOST_IRRADIANCE = 1e6
 """Irradiance that a network may give at most."""
 
 
@@ -310,15 +310,16 @@ def _directions(normal: np.ndarray, points: np.ndarray) -> None:
 
 def _lit(colour: np.ndarray, normal: np.ndarray, albedo: np.ndarray, values: np.ndarray, output: np.ndarray) -> None:
     shines = ((normal ** 2).sum(-1) > 0.01) & (albedo.max(-1) > 0)
-    light = np.exp(np.minimum(values.reshape(colour.shape), np.float32(np.log(BRIGHTEST))))
+    light = np.exp(np.minimum(values.reshape(colour.shape), np.float32(np.log(MOST_IRRADIANCE))))
     output[...] = np.where(shines[..., None], albedo * light / np.float32(np.pi), colour)
 
 
-PLANES = {"diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1, "depth": 1, "motion": 2, "colour": 3}
+SCENE_PLANES = {"diffuse_albedo": 3, "specular_albedo": 3, "normal": 3, "roughness": 1, "depth": 1, "motion": 2,
+                "colour": 3}
 """Planes that a network of a scene may read, with their channels."""
 POINT_PLANES = ("depth", "normal", "diffuse_albedo", "specular_albedo", "colour")
 """Planes that are read around a network of points."""
-FACTS = 16
+CAMERA_NUMBERS = 16
 """Numbers of its camera: place and axes (4 x 3), tangents of half the field of view, jitter."""
 
 
@@ -345,7 +346,7 @@ class SceneShading(_Linear):
         if self._found and self._inputs == ("points",):
             self._box = SceneBox.of_card(self._found[0].card(self._found[1]), str(model))
             self._inputs = (*POINT_PLANES, "camera")
-        strange = [name for name in self._inputs if name not in (*PLANES, "camera", "before")]
+        strange = [name for name in self._inputs if name not in (*SCENE_PLANES, "camera", "before")]
         if strange or (self._found and "camera" not in self._inputs):
             raise ModelError(f"model '{model}' reads {', '.join(self._inputs)}, which is no network of a scene: train "
                              "one by python -m training.train_scene")
@@ -357,7 +358,7 @@ class SceneShading(_Linear):
         return Reflection(reads=reads, writes=(Role.COLOUR,), output=spec)
 
     def _planes(self) -> list[str]:
-        return [name for name in self._inputs if name in PLANES]
+        return [name for name in self._inputs if name in SCENE_PLANES]
 
     def _missing(self, spec: FrameSpec) -> str | None:
         if self._found is None:
@@ -371,7 +372,7 @@ class SceneShading(_Linear):
         assert self._found is not None  # or it is skipped
         library, name, _ = self._found
         size = spec.height, spec.width
-        self._camera = device.heap.tensor("camera", (FACTS,))
+        self._camera = device.heap.tensor("camera", (CAMERA_NUMBERS,))
         self._shaded = device.heap.transient("shaded", (*size, 3))
         if self._box is not None:
             self._compile_points(device, spec, self._box)

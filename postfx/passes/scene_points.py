@@ -11,13 +11,16 @@ from postfx.errors import ModelError
 
 POINT = 9
 """Numbers of a point: place in the scene's box, normal, and mirrored view direction."""
-OUTSIDE = 1.5
+FARTHEST_PLACE = 1.5
 """Places farther out than so many half sides of the box count as there."""
-EMITTER = 0.005
+LAMP_REFLECTANCE = 0.005
 """Less reflectance than this have lamps and misses only."""
-FLOOR, LEAST = 0.15, 0.01
-"""Of each channel's reflectance: a share of the largest channel, and what is added."""
-MOST_LOG = 20.0
+
+# Of each channel's reflectance: a share of the largest channel, and what is added.
+REFLECTANCE_SHARE = 0.15
+REFLECTANCE_OFFSET = 0.01
+
+MOST_LIGHT_LOG = 20.0
 """Bound of the logarithm of light that a network may give."""
 CARD = "scene"
 """Key of the box in a model's card."""
@@ -78,7 +81,7 @@ def points_of(
     rays = rays_of(camera, *depth.shape[:2])
     points = np.empty((*depth.shape[:2], POINT), np.float32)
     place = camera[9:12] - box.middle + depth * rays
-    np.clip(place / np.float32(box.reach), -OUTSIDE, OUTSIDE, out=points[..., :3])
+    np.clip(place / np.float32(box.reach), -FARTHEST_PLACE, FARTHEST_PLACE, out=points[..., :3])
     points[..., 3:6] = normal
     rays /= np.sqrt(np.einsum("ijk,ijk->ij", rays, rays))[..., None]
     points[..., 6:] = rays - 2 * np.einsum("ijk,ijk->ij", rays, normal)[..., None] * normal
@@ -90,8 +93,8 @@ def reflectance_of(diffuse: np.ndarray, specular: np.ndarray) -> np.ndarray:
     misses."""
     total = diffuse + specular
     peak = total.max(-1, keepdims=True)
-    floored = np.maximum(total, FLOOR * peak) + LEAST
-    return np.where(peak < EMITTER, np.float32(1), floored).astype(np.float32)
+    floored = np.maximum(total, REFLECTANCE_SHARE * peak) + REFLECTANCE_OFFSET
+    return np.where(peak < LAMP_REFLECTANCE, np.float32(1), floored).astype(np.float32)
 
 
 def light_to_learn(light: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
@@ -104,7 +107,7 @@ def light_of(
     values: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, colour: np.ndarray
 ) -> np.ndarray:
     """Light (height, width, 3) of what the network gave; lamps and misses keep their colour."""
-    learnt = np.expm1(np.clip(values.reshape(colour.shape), 0, np.float32(MOST_LOG)))
-    is_emitter = (diffuse + specular).max(-1, keepdims=True) < EMITTER
+    learnt = np.expm1(np.clip(values.reshape(colour.shape), 0, np.float32(MOST_LIGHT_LOG)))
+    is_emitter = (diffuse + specular).max(-1, keepdims=True) < LAMP_REFLECTANCE
     light: np.ndarray = np.where(is_emitter, colour, learnt * reflectance_of(diffuse, specular))
     return light

@@ -14,11 +14,14 @@ from postfx.errors import PassOptionError
 from postfx.frame import FrameSpec, Role
 from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, form_of
-from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
+from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH_GRID
 from postfx.passes import Pass, Reflection, ResidentFrame
 from postfx.runtime import CommandBuffer, Device, Library, ModelError, PipelineState, Tensor
 
-_KEEP, _FOLLOW = 0.6, 0.6  # where a look's card says nothing
+# Where a look's card says nothing
+_KEEP = 0.6
+_FOLLOW = 0.6
+
 _MOST = 1e6  # so that no sum of a few products overflows
 _SHAPER = "toe and scale above 0, and a matrix of 9 numbers"
 
@@ -101,7 +104,7 @@ class _Kind(NamedTuple):
     shown_by: str
 
 
-_KINDS = _Kind("grid", SMOOTH, SLICE_APPLY, "grid"), _Kind("stops", EXPOSE, APPLY_CUBE, "params")
+_LOOK_KINDS = _Kind("grid", SMOOTH_GRID, SLICE_APPLY, "grid"), _Kind("stops", EXPOSE, APPLY_CUBE, "params")
 
 
 class ToneMap(Pass):
@@ -140,7 +143,7 @@ class ToneMap(Pass):
         library, model = find_model(str(self.options["look"]))
         network = device.pipeline_state(library, model)
         made = {binding.name for binding in network.bindings}
-        self._kind = next((kind for kind in _KINDS if kind.made in made), None)
+        self._kind = next((kind for kind in _LOOK_KINDS if kind.made in made), None)
         check_constants(model, network.constants, "grid" in made)
         self._shaper, given = shaper(library, model), self.options["keep"]
         keep = keep_of(library, model) if given is None else float(given)

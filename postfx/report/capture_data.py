@@ -26,8 +26,8 @@ from postfx.runtime.snapshot import (
 )
 from postfx.version import __version__
 
-FORMAT = "postfx capture 1"
-FILE = "capture.json"
+CAPTURE_FORMAT = "postfx capture 1"
+CAPTURE_FILE = "capture.json"
 
 
 def as_dict(capture: Capture) -> dict[str, Any]:
@@ -40,7 +40,7 @@ def as_dict(capture: Capture) -> dict[str, Any]:
         _command(dispatch, number) for number, buffer in enumerate(capture.buffers) for dispatch in buffer.dispatches
     ]
     return {
-        "format": FORMAT,
+        "format": CAPTURE_FORMAT,
         "postfx": __version__,
         "device": {"name": capture.device.name, "threads": capture.device.threads},
         "tensors": capture.tensors,
@@ -53,12 +53,12 @@ def as_dict(capture: Capture) -> dict[str, Any]:
 def read(path: str | Path) -> tuple[dict[str, Any], Path]:
     """Read a capture.json, given as a file or its folder; returns it and the folder. Raises ReadError."""
     file = Path(path)
-    file = file / FILE if os.path.isdir(file) else file
+    file = file / CAPTURE_FILE if os.path.isdir(file) else file
     try:
         data = parse_json(read_text(file))
     except (OSError, ValueError) as error:
         raise ReadError(f"capture '{file}' cannot be read: {error}") from error
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
+    if not isinstance(data, dict) or data.get("format") != CAPTURE_FORMAT:
         raise ReadError(f"'{file}' is not a capture by this version of postfx: make one with postfx run --capture")
     return data, file.parent
 

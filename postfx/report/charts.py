@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.colour.views import BANDS
+from postfx.colour.views import FALSE_COLOUR_BANDS
 from postfx.errors import WriteError
-from postfx.exposure.debugger import DRIFTING, RIGHT, Report, Shot
+from postfx.exposure.debugger import DRIFTING_VERDICT, RIGHT_VERDICT, Report, Shot
 from postfx.files import write_atomically
 from postfx.report.frame_log import Row
 from postfx.report.pictures import png
@@ -85,21 +85,24 @@ def save_png(path: Path, pixels: np.ndarray) -> None:
         raise WriteError(f"{path}: cannot be written: {error.strerror}; check the folder and its rights") from error
 
 
-KEY_PAPER, KEY_INK = (24, 24, 26), (225, 225, 225)
-ROW, COLUMN, SIZE = 22, 210, 13
+KEY_PAPER = (24, 24, 26)
+KEY_INK = (225, 225, 225)
+KEY_ROW_PX = 22
+KEY_COLUMN_PX = 210
+TEXT_SIZE_PX = 13
 
 
 def add_key(picture: np.ndarray) -> np.ndarray:
     """The picture, uint8 (height, width, 3), with a key of the false-colour bands below."""
     height, width, _ = picture.shape
-    across = max(width // COLUMN, 1)
-    rows = -(-len(BANDS) // across)
-    canvas = Canvas(width, rows * ROW + 8, KEY_PAPER)
-    for index, band in enumerate(BANDS):
-        x, y = 10 + index % across * (width // across), 4 + index // across * ROW
+    across = max(width // KEY_COLUMN_PX, 1)
+    rows = -(-len(FALSE_COLOUR_BANDS) // across)
+    canvas = Canvas(width, rows * KEY_ROW_PX + 8, KEY_PAPER)
+    for index, band in enumerate(FALSE_COLOUR_BANDS):
+        x, y = 10 + index % across * (width // across), 4 + index // across * KEY_ROW_PX
         canvas.box(x, y + 5, x + 14, y + 17, band.colour)
         text = f"{100 * band.low:g}-{100 * band.high:g} %  {band.meaning}"
-        canvas.text(x + 22, y + 11, text, KEY_INK, SIZE)
+        canvas.text(x + 22, y + 11, text, KEY_INK, TEXT_SIZE_PX)
     return np.concatenate([picture, canvas.pixels.round().astype(np.uint8)])
 
 
@@ -140,22 +143,30 @@ def _drawn(chart: Chart, curves: Mapping[str, list[float | None]]) -> dict[str, 
     return {"title": chart.title, "note": chart.note, "span": chart.span, "curves": own}
 
 
-WIDTH, HEIGHT = 1200, 560
-LEFT, RIGHT_EDGE, TOP, BOTTOM = 84, 1176, 74, 400
-STRIP = (432, 488)
-PAPER, INK, FAINT, GRID = (250, 250, 248), (40, 42, 48), (130, 132, 138), (226, 226, 222)
-USED, NEEDED = (200, 80, 10), (11, 98, 184)
+PAGE_WIDTH_PX = 1200
+PAGE_HEIGHT_PX = 560
+PLOT_LEFT_PX = 84
+PLOT_RIGHT_PX = 1176
+PLOT_TOP_PX = 74
+PLOT_BOTTOM_PX = 400
+STRIP_ROWS_PX = (432, 488)
+PAPER_RGB = (250, 250, 248)
+INK_RGB = (40, 42, 48)
+FAINT_RGB = (130, 132, 138)
+GRID_RGB = (226, 226, 222)
+USED_RGB = (200, 80, 10)
+NEEDED_RGB = (11, 98, 184)
 LEAST_SPAN_EV = 2.0
 
 
 def draw_exposure(report: Report, title: str, path: Path) -> None:
     """Write the PNG, 1200x560. Raises WriteError."""
-    canvas = Canvas(WIDTH, HEIGHT, PAPER)
+    canvas = Canvas(PAGE_WIDTH_PX, PAGE_HEIGHT_PX, PAPER_RGB)
     plot = _Plot(canvas, report)
     plot.axes()
     plot.curves()
     plot.checkerboard()
-    canvas.text(LEFT, 24, title, INK, 20)
+    canvas.text(PLOT_LEFT_PX, 24, title, INK_RGB, 20)
     _legend(canvas)
     canvas.save(path)
 
@@ -170,7 +181,7 @@ class _Plot:
         low, high = min(self.used.min(), self.needed.min()), max(self.used.max(), self.needed.max())
         half, middle = max(high - low + 0.5, LEAST_SPAN_EV) / 2, (low + high) / 2
         self.low, self.high = middle - half, middle + half
-        self.edges = np.linspace(LEFT, RIGHT_EDGE, len(report.readings) + 1)
+        self.edges = np.linspace(PLOT_LEFT_PX, PLOT_RIGHT_PX, len(report.readings) + 1)
 
     def x(self, index: np.ndarray | int) -> np.ndarray:
         """Middle of a frame's column."""
@@ -178,32 +189,33 @@ class _Plot:
         return middle
 
     def y(self, ev: np.ndarray | float) -> np.ndarray:
-        place: np.ndarray = BOTTOM - (np.asarray(ev) - self.low) / (self.high - self.low) * (BOTTOM - TOP)
+        place: np.ndarray = (PLOT_BOTTOM_PX
+                             - (np.asarray(ev) - self.low) / (self.high - self.low) * (PLOT_BOTTOM_PX - PLOT_TOP_PX))
         return place
 
     def axes(self) -> None:
         step = next(step for step in (0.25, 0.5, 1, 2, 4, 8, 16) if (self.high - self.low) / step <= 8)
         for ev in np.arange(np.ceil(self.low / step), np.floor(self.high / step) + 1) * step:
             y = float(self.y(ev))
-            self.canvas.box(LEFT, y, RIGHT_EDGE, y + 1, FAINT if ev == 0 else GRID)
-            self.canvas.text(LEFT - 10, y, f"{ev:+g} EV" if ev else "0 EV", FAINT, 14, "right")
+            self.canvas.box(PLOT_LEFT_PX, y, PLOT_RIGHT_PX, y + 1, FAINT_RGB if ev == 0 else GRID_RGB)
+            self.canvas.text(PLOT_LEFT_PX - 10, y, f"{ev:+g} EV" if ev else "0 EV", FAINT_RGB, 14, "right")
         every = -(-len(self.used) // 16)
         for index in range(0, len(self.used), every):
             number = str(self.report.readings[index].number)
-            self.canvas.text(float(self.x(index)), STRIP[1] + 16, number, FAINT, 14, "center")
-        self.canvas.text((LEFT + RIGHT_EDGE) / 2, STRIP[1] + 44, "frame", FAINT, 14, "center")
+            self.canvas.text(float(self.x(index)), STRIP_ROWS_PX[1] + 16, number, FAINT_RGB, 14, "center")
+        self.canvas.text((PLOT_LEFT_PX + PLOT_RIGHT_PX) / 2, STRIP_ROWS_PX[1] + 44, "frame", FAINT_RGB, 14, "center")
 
     def curves(self) -> None:
         cuts = [index for index, item in enumerate(self.report.readings) if item.cut and index]
         for cut in cuts:
-            for y in range(TOP, BOTTOM, 10):
-                self.canvas.box(self.edges[cut], y, self.edges[cut] + 1, y + 5, FAINT)
-            self.canvas.text(self.edges[cut] + 6, TOP + 8, "cut", FAINT, 14)
+            for y in range(PLOT_TOP_PX, PLOT_BOTTOM_PX, 10):
+                self.canvas.box(self.edges[cut], y, self.edges[cut] + 1, y + 5, FAINT_RGB)
+            self.canvas.text(self.edges[cut] + 6, PLOT_TOP_PX + 8, "cut", FAINT_RGB, 14)
         begin = 0
         for shot in self.report.shots:
             end = next((cut for cut in cuts if cut > begin), len(self.used))
             index = np.arange(begin, end)
-            for values, colour in ((self.needed, NEEDED), (self.used, USED)):
+            for values, colour in ((self.needed, NEEDED_RGB), (self.used, USED_RGB)):
                 self.canvas.line(self.x(index), self.y(values[index]), colour, 3)
                 self.canvas.dots(self.x(index), self.y(values[index]), colour, min(8, 300 / len(self.used) + 3))
             self._name(shot, self.edges[begin], self.edges[end])
@@ -211,52 +223,53 @@ class _Plot:
 
     def checkerboard(self) -> None:
         """Each frame's mid grey as shown, above the right grey."""
-        top, bottom = STRIP
+        top, bottom = STRIP_ROWS_PX
         right = round(self.report.grey * 255)
         for index, item in enumerate(self.report.readings):
             level = round(item.level * 255)
             self.canvas.box(self.edges[index], top, self.edges[index + 1], bottom, (level, level, level))
-        self.canvas.box(LEFT, bottom - 14, RIGHT_EDGE, bottom, (right, right, right))
-        self.canvas.text(LEFT - 10, top + 21, "seen", FAINT, 14, "right")
-        self.canvas.text(LEFT - 10, bottom - 7, "right", FAINT, 14, "right")
+        self.canvas.box(PLOT_LEFT_PX, bottom - 14, PLOT_RIGHT_PX, bottom, (right, right, right))
+        self.canvas.text(PLOT_LEFT_PX - 10, top + 21, "seen", FAINT_RGB, 14, "right")
+        self.canvas.text(PLOT_LEFT_PX - 10, bottom - 7, "right", FAINT_RGB, 14, "right")
 
     def _name(self, shot: Shot, begin: float, end: float) -> None:
         """The verdict below a shot, if there is room."""
-        by = shot.drift_ev if shot.verdict == DRIFTING else abs(shot.mismatch_ev)
-        text = shot.verdict if shot.verdict == RIGHT else f"{shot.verdict} by {by:.2f} EV"
+        by = shot.drift_ev if shot.verdict == DRIFTING_VERDICT else abs(shot.mismatch_ev)
+        text = shot.verdict if shot.verdict == RIGHT_VERDICT else f"{shot.verdict} by {by:.2f} EV"
         if end - begin > 9 * len(text):
-            self.canvas.text((begin + end) / 2, BOTTOM + 16, text, INK, 16, "center")
+            self.canvas.text((begin + end) / 2, PLOT_BOTTOM_PX + 16, text, INK_RGB, 16, "center")
 
 
 def _legend(canvas: Canvas) -> None:
-    for x, colour, text in ((LEFT, USED, "exposure used"), (LEFT + 170, NEEDED, "exposure that would be right")):
+    for x, colour, text in ((PLOT_LEFT_PX, USED_RGB, "exposure used"),
+                            (PLOT_LEFT_PX + 170, NEEDED_RGB, "exposure that would be right")):
         canvas.line(np.array([x, x + 26]), np.array([52, 52]), colour, 3)
-        canvas.text(x + 36, 52, text, INK, 15)
+        canvas.text(x + 36, 52, text, INK_RGB, 15)
 
 
 def draw_pacing(title: str, interval: float, intervals: Sequence[float], histogram: Mapping[float, int],
                 bucket: float, path: Path) -> None:
     """Write the PNG of measured ``intervals`` in seconds, 1200x560: each in order, and right of it how many fall into
     each bucket, of a width of ``bucket`` of the wanted ``interval``. Raises WriteError."""
-    canvas = Canvas(WIDTH, HEIGHT, PAPER)
-    canvas.text(LEFT, 24, title, INK, 18)
-    measured, bottom, middle = np.array(intervals), HEIGHT - 60, round(0.75 * WIDTH)
+    canvas = Canvas(PAGE_WIDTH_PX, PAGE_HEIGHT_PX, PAPER_RGB)
+    canvas.text(PLOT_LEFT_PX, 24, title, INK_RGB, 18)
+    measured, bottom, middle = np.array(intervals), PAGE_HEIGHT_PX - 60, round(0.75 * PAGE_WIDTH_PX)
     top = max(2 * interval, float(measured.max(initial=0)) * 1.05)
 
     def y(seconds: np.ndarray | float) -> np.ndarray:
-        return np.asarray(bottom - np.asarray(seconds) / top * (bottom - TOP))
+        return np.asarray(bottom - np.asarray(seconds) / top * (bottom - PLOT_TOP_PX))
 
     for turns in range(int(top / interval) + 1):
         place = float(y(turns * interval))
-        canvas.box(LEFT, place, RIGHT_EDGE, place + 1, FAINT if turns == 1 else GRID)
-        canvas.text(LEFT - 10, place, f"{1e3 * turns * interval:.1f} ms", FAINT, 14, "right")
+        canvas.box(PLOT_LEFT_PX, place, PLOT_RIGHT_PX, place + 1, FAINT_RGB if turns == 1 else GRID_RGB)
+        canvas.text(PLOT_LEFT_PX - 10, place, f"{1e3 * turns * interval:.1f} ms", FAINT_RGB, 14, "right")
     if measured.size:
-        canvas.dots(np.linspace(LEFT + 8, middle - 20, measured.size), y(measured), INK, 5)
+        canvas.dots(np.linspace(PLOT_LEFT_PX + 8, middle - 20, measured.size), y(measured), INK_RGB, 5)
     half, most = bucket * interval / 2, max(histogram.values(), default=1)
     for seconds, count in histogram.items():
-        end = middle + (RIGHT_EDGE - middle - 60) * count / most
-        canvas.box(middle, float(y(seconds + half)), max(end, middle + 2), float(y(seconds - half)), INK, 0.6)
-        canvas.text(end + 8, float(y(seconds)), str(count), INK, 14)
-    canvas.text((LEFT + middle) / 2, bottom + 26, "pictures in order", FAINT, 14, "center")
-    canvas.text((middle + RIGHT_EDGE) / 2, bottom + 26, "intervals of each length", FAINT, 14, "center")
+        end = middle + (PLOT_RIGHT_PX - middle - 60) * count / most
+        canvas.box(middle, float(y(seconds + half)), max(end, middle + 2), float(y(seconds - half)), INK_RGB, 0.6)
+        canvas.text(end + 8, float(y(seconds)), str(count), INK_RGB, 14)
+    canvas.text((PLOT_LEFT_PX + middle) / 2, bottom + 26, "pictures in order", FAINT_RGB, 14, "center")
+    canvas.text((middle + PLOT_RIGHT_PX) / 2, bottom + 26, "intervals of each length", FAINT_RGB, 14, "center")
     canvas.save(path)

@@ -22,7 +22,7 @@ from postfx.report.pictures import encode_light, pack_codes, png_uri, shrink
 from postfx.sampling import Curve, bilinear, is_inside, motion_at
 from postfx.version import pip_install
 
-LONGEST = 800
+LONGEST_SIDE_PX = 800
 """Longest side of a picture in pixels; larger ones are reduced."""
 WHITE_STOPS = 6
 
@@ -120,10 +120,10 @@ class FrameLog:
 
     def _sight(self, pictures: Pixels, exposure_factor: float, maps: Pixels) -> Sight:
         def codes(light: np.ndarray) -> np.ndarray:
-            return encode_light(shrink(self.look.expose(light, exposure_factor), LONGEST), self.look.highest)
+            return encode_light(shrink(self.look.expose(light, exposure_factor), LONGEST_SIDE_PX), self.look.highest)
 
         size = next(iter(pictures.values())).shape[1::-1]
-        small = {name: np.rint(255 * np.clip(shrink(one, LONGEST), 0, 1)).astype(np.uint8)
+        small = {name: np.rint(255 * np.clip(shrink(one, LONGEST_SIDE_PX), 0, 1)).astype(np.uint8)
                  for name, one in maps.items()}
         return Sight(exposure_factor, size, {name: codes(light) for name, light in pictures.items()}, small)
 
@@ -197,7 +197,8 @@ def measure_errors(codes: Mapping[str, np.ndarray]) -> Comparison:
     return Comparison({**figures, "flip after": flip}, colours)
 
 
-MOST_POINTS, LEAST_POINTS = 40_000, 100
+MOST_MEASURED_POINTS = 40_000
+FEWEST_MEASURED_POINTS = 100
 CALMEST = 0.8
 
 
@@ -212,12 +213,12 @@ def measure_change(before: np.ndarray, now: np.ndarray, motion: np.ndarray, curv
     height, width = now.shape[:2]
     if before.shape != now.shape:
         return None
-    step = max(1, math.ceil(math.sqrt(height * width / MOST_POINTS)))
+    step = max(1, math.ceil(math.sqrt(height * width / MOST_MEASURED_POINTS)))
     rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
     moved = motion_at(motion, rows, columns, height, width)
     x, y = (columns + moved[..., 0]).ravel(), (rows[:, None] + moved[..., 1]).ravel()
     inside = is_inside(before, x, y)
-    if inside.sum() < LEAST_POINTS:
+    if inside.sum() < FEWEST_MEASURED_POINTS:
         return None
     current = curve(now[rows[:, None], columns]).reshape(-1, 3)[inside]
     differences = np.abs(current - bilinear(before, x[inside], y[inside], curve)).mean(1)

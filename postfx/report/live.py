@@ -22,21 +22,21 @@ from postfx.colour.displays import srgb_decode
 from postfx.errors import OptionError
 from postfx.frame import LINEAR, Frame, Role
 
-HOST = "localhost"
+VIEWER_HOST = "localhost"
 PORT = 14158
 """Where tev listens unless it is told otherwise."""
 CREATE = 4
 """Type of a packet that makes an image without pixels."""
 UPDATE = 6
 """Type of a packet with pixels of a part of an image (its third version)."""
-CHANNELS = ("R", "G", "B")
-BAND = 256
+PACKET_CHANNELS = ("R", "G", "B")
+PACKET_ROWS = 256
 """Rows of a picture that one packet holds."""
-PATIENCE = 2.0
+VIEWER_TIMEOUT_SECONDS = 2.0
 """Seconds that a viewer may take to answer, or to take a packet."""
 LAST_SECONDS = 5.0
 """Seconds that the end of a run waits for the last picture."""
-WAITING = 2
+MOST_QUEUED_PICTURES = 2
 """Pictures that wait for a slow viewer; of more, the oldest are left out."""
 
 
@@ -56,7 +56,7 @@ def parse_address(text: str) -> Address:
     port = int(found[2] or PORT) if found else 0
     if found is None or not 0 < port < 65536:
         raise OptionError(f"--live '{text}': give tev, tev:HOST or tev:HOST:PORT")
-    return Address((found[1] or HOST).strip("[]"), port)
+    return Address((found[1] or VIEWER_HOST).strip("[]"), port)
 
 
 class LiveViewer:
@@ -78,7 +78,7 @@ class LiveViewer:
     def show(self, name: str, frame: Frame) -> None:
         """Send a frame's picture, by this name; returns at once."""
         if Role.COLOUR in frame:
-            while self._waiting.qsize() >= WAITING:
+            while self._waiting.qsize() >= MOST_QUEUED_PICTURES:
                 try:
                     self._waiting.get_nowait()
                 except queue.Empty:
@@ -102,7 +102,7 @@ class LiveViewer:
             if time.monotonic() > self._deadline:
                 continue
             try:
-                connection = connection or socket.create_connection(self._address, PATIENCE)
+                connection = connection or socket.create_connection(self._address, VIEWER_TIMEOUT_SECONDS)
                 for packet in packets(*item):
                     connection.sendall(packet)
             except OSError as error:
@@ -126,12 +126,12 @@ def packets(name: str, frame: Frame) -> Iterator[bytes]:
     light = colour if frame.encoding in LINEAR else srgb_decode(colour)
     height, width, count = light.shape
     named = name.encode() + b"\0"
-    names = [channel.encode() + b"\0" for channel in CHANNELS[:count]]
+    names = [channel.encode() + b"\0" for channel in PACKET_CHANNELS[:count]]
     channels = struct.pack("<i", count) + b"".join(names)
     yield _packet(CREATE, named + struct.pack("<ii", width, height) + channels)
     places = np.arange(count, dtype="<i8").tobytes() + np.full(count, count, "<i8").tobytes()
-    for top in range(0, height, BAND):
-        band = np.ascontiguousarray(light[top : top + BAND], "<f4")
+    for top in range(0, height, PACKET_ROWS):
+        band = np.ascontiguousarray(light[top : top + PACKET_ROWS], "<f4")
         area = struct.pack("<iiii", 0, top, width, len(band))
         yield _packet(UPDATE, named + channels + area + places + band.tobytes())
 

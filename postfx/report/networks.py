@@ -20,8 +20,8 @@ from postfx.runtime.snapshot import statistics
 if TYPE_CHECKING:
     from onnx import AttributeProto, ModelProto, NodeProto, TensorProto
 
-LONGEST = 200
-MOST_VALUES = 16
+LONGEST_TEXT = 200
+MOST_SHOWN_VALUES = 16
 """Weights of at most so many elements are shown in full."""
 
 
@@ -98,10 +98,10 @@ def _attribute(item: AttributeProto) -> Any:
         return f"graph of {len(value.node)} nodes"
     if item.type == AttributeProto.FLOAT:
         return finite_or_text(float(value))
-    if item.type == AttributeProto.INT or (item.type == AttributeProto.INTS and len(value) <= MOST_VALUES):
+    if item.type == AttributeProto.INT or (item.type == AttributeProto.INTS and len(value) <= MOST_SHOWN_VALUES):
         return value if isinstance(value, int) else list(value)
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-    return text if len(text) <= LONGEST else text[:LONGEST] + "..."
+    return text if len(text) <= LONGEST_TEXT else text[:LONGEST_TEXT] + "..."
 
 
 def _weight(item: TensorProto) -> dict[str, Any]:
@@ -112,7 +112,7 @@ def _weight(item: TensorProto) -> dict[str, Any]:
     if not array.size or array.dtype == object:
         return {**plain, "statistics": None}
     figures = {name: finite_or_text(value) for name, value in asdict(statistics(array)).items()}
-    if array.size > MOST_VALUES:
+    if array.size > MOST_SHOWN_VALUES:
         return {**plain, "statistics": figures}
     return {**plain, "statistics": figures, "values": [finite_or_text(value) for value in array.ravel().tolist()]}
 

@@ -18,16 +18,16 @@ from postfx.errors import CommandError, SequenceError, WriteError
 from postfx.files import write_text
 from postfx.frame import Frame
 from postfx.io.writer import check_folder
-from postfx.report.capture_data import FILE, as_dict
+from postfx.report.capture_data import CAPTURE_FILE, as_dict
 from postfx.report.charts import charts
-from postfx.report.frame_log import LONGEST, FrameLog
+from postfx.report.frame_log import LONGEST_SIDE_PX, FrameLog
 from postfx.report.networks import describe
 from postfx.report.pictures import picture, sheet
 from postfx.runtime import Capture, Device
 from postfx.runtime.snapshot import CapturedDispatch, CapturedValue, Snapshot
 from postfx.version import __version__
 
-_PARTS = Path(__file__).parent / "assets"
+_ASSETS = Path(__file__).parent / "assets"
 
 
 def page(title: str, name: str, scripts: Sequence[str], data: dict[str, Any]) -> str:
@@ -58,7 +58,7 @@ def _fill(template: str, parts: dict[str, str]) -> str:
 
 
 def _part(name: str) -> str:
-    return (_PARTS / name).read_text(encoding="utf-8")
+    return (_ASSETS / name).read_text(encoding="utf-8")
 
 
 REPORT_SCRIPTS = ("report_light.js", "report_viewer.js", "report_charts.js", "report.js")
@@ -77,7 +77,7 @@ def write_report(
     data = {
         "postfx": __version__,
         "display": log.look.display,
-        "longest": LONGEST,
+        "longest": LONGEST_SIDE_PX,
         "frames": log.frames(),
         "numbers": [row.number for row in log.rows],
         "cuts": [row.number for row in log.rows if row.cut],
@@ -110,7 +110,7 @@ def write_capture(capture: Capture, folder: str | Path, title: str) -> Path:
     data = as_dict(capture)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / FILE, json.dumps(data, indent=1, allow_nan=False))
+        write_text(folder / CAPTURE_FILE, json.dumps(data, indent=1, allow_nan=False))
         write_text(folder / PAGE, _page(capture, data, title))
     except OSError as error:
         raise WriteError(f"capture in '{folder}' cannot be written: {error.strerror or error}") from error

@@ -14,8 +14,10 @@ import OpenImageIO as oiio
 
 from postfx.colour.displays import srgb_encode
 
-LOW, HIGH = 1, 99
-"""Percentiles of the finite values that become black and white."""
+# Percentiles of the finite values that become black and white.
+BLACK_PERCENTILE = 1
+WHITE_PERCENTILE = 99
+
 GAMMA = 2.2
 SHEET_COLUMNS = 4
 NOTEBOOK_SIDE = 640
@@ -122,8 +124,8 @@ def _range(stack: np.ndarray) -> tuple[float, float]:
     finite = stack[np.isfinite(stack)].astype(np.float64)
     if not finite.size:
         return 0.0, 1.0
-    low = 0.0 if finite.min() >= 0 else float(np.percentile(finite, LOW))
-    high = float(np.percentile(finite, HIGH))
+    low = 0.0 if finite.min() >= 0 else float(np.percentile(finite, BLACK_PERCENTILE))
+    high = float(np.percentile(finite, WHITE_PERCENTILE))
     high = high if high > low else float(finite.max())
     return low, high if high > low else low + 1.0
 
@@ -139,20 +141,21 @@ def _chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
 
-LARGEST = 511
-TOE = 2.0**-8
+LARGEST_SIDE_PX = 511
+EVEN_LIGHT = 2.0**-8
 """Light below which steps are even; above, they are even in stops."""
-NOT_FINITE = (LARGEST, 0, LARGEST)
+NOT_FINITE = (LARGEST_SIDE_PX, 0, LARGEST_SIDE_PX)
 
 
 def encode_light(light: np.ndarray, highest: float) -> np.ndarray:
-    """Light (height, width, 3) as codes 0..511, uint16: 511 log(1 + light / TOE) / log(1 + highest / TOE).
+    """Light (height, width, 3) as codes 0..511, uint16: 511 log(1 + light / EVEN_LIGHT) / log(1 + highest / TOE).
 
     Negative light and light above `highest` is clipped; non-finite pixels become magenta. Up to 64, a stop has 36
     codes; x / (1 + x) in sRGB has at most 32 of a screen's 255 steps in a stop.
     """
-    steps = np.log1p(np.clip(np.nan_to_num(light), 0, highest) / np.float32(TOE)) / np.log1p(highest / TOE)
-    codes: np.ndarray = np.rint(LARGEST * steps).astype(np.uint16)
+    steps = (np.log1p(np.clip(np.nan_to_num(light), 0, highest) / np.float32(EVEN_LIGHT))
+             / np.log1p(highest / EVEN_LIGHT))
+    codes: np.ndarray = np.rint(LARGEST_SIDE_PX * steps).astype(np.uint16)
     codes[~np.isfinite(light).all(2)] = NOT_FINITE
     return codes
 
@@ -169,4 +172,4 @@ def pack_codes(codes: np.ndarray, highest: float) -> dict[str, Any]:
     content = zlib.compress((folded & 255).astype(np.uint8).tobytes() + (folded >> 8).astype(np.uint8).tobytes(), 9)
     height, width = codes.shape[:2]
     data = base64.b64encode(content).decode("ascii")
-    return {"width": width, "height": height, "toe": TOE, "highest": highest, "data": data}
+    return {"width": width, "height": height, "toe": EVEN_LIGHT, "highest": highest, "data": data}

@@ -21,16 +21,27 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from postfx.errors import CheckpointError, ManifestError, WriteError
-from postfx.files import PIECE, despite_readers, hash_file, parse_json, remove, remove_leftovers, write_atomically
+from postfx.files import (
+    FILE_PIECE_BYTES,
+    despite_readers,
+    hash_file,
+    parse_json,
+    remove,
+    remove_leftovers,
+    write_atomically,
+)
 from postfx.runs.locks import Claim, FolderLock, is_alive
-from postfx.runs.manifest import NAME, WORK_FOLDER, Manifest, Output, load_manifest, update_manifest
+from postfx.runs.manifest import MANIFEST_NAME, WORK_FOLDER, Manifest, Output, load_manifest, update_manifest
 
-LEAST_SECONDS, MOST_SHARE = 1.0, 0.05
-"""Least seconds between two writes of the manifest, and the largest share of the run's time that they take."""
-SUFFIX = ".checkpoint"
-MAGIC = b"postfx checkpoint 1\n"
+# Least seconds between two writes of the manifest, and the largest share of the run's time that
+# they take.
+LEAST_SECONDS = 1.0
+MOST_SHARE = 0.05
+
+CHECKPOINT_SUFFIX = ".checkpoint"
+CHECKPOINT_MAGIC = b"postfx checkpoint 1\n"
 _MOST_HEADER = 1 << 20
-_KINDS = ("float32", "float64", "int64")
+_ARRAY_TYPES = ("float32", "float64", "int64")
 _DIGEST = 32  # bytes
 
 
@@ -54,7 +65,8 @@ class RunFolder:
         self._flushed, self._cost = time.monotonic(), 0.0
         self._work.mkdir(parents=True, exist_ok=True)
         with FolderLock(self._work / "lock"):
-            for path in folder.glob(f".{NAME}.*"):  # who writes the manifest holds the lock: these are of killed runs
+            # who writes the manifest holds the lock: these are of killed runs
+            for path in folder.glob(f".{MANIFEST_NAME}.*"):
                 remove(path)
             self._claim = Claim(self._work, run, names)
         try:
@@ -86,7 +98,8 @@ class RunFolder:
         try:
             update_manifest(self._folder, self._enter)
         except OSError as error:
-            raise WriteError(f"{self._folder / NAME}: cannot be written: {error.strerror}; check free space") from error
+            raise WriteError(f"{self._folder / MANIFEST_NAME}: cannot be written: {error.strerror}; check free "
+                             "space") from error
         self._unsaved.clear()
         self._flushed = time.monotonic()
         self._cost = self._flushed - begin
@@ -107,7 +120,7 @@ class RunFolder:
              relax: Callable[[], None]) -> int:
         """Replace the run's last checkpoint; returns the new one's size in bytes."""
         about = About(self._run, pattern, frame, fingerprint)
-        return save_checkpoint(self._work / f"{self._run}{SUFFIX}", about, history, relax)
+        return save_checkpoint(self._work / f"{self._run}{CHECKPOINT_SUFFIX}", about, history, relax)
 
     def close(self, facts: Mapping[str, Any], finished: Collection[int], pattern: str) -> None:
         """End the run. Removes checkpoints after frames in `finished`, which are no longer needed, and the manifest's
@@ -147,16 +160,16 @@ class RunFolder:
         try:
             return load_manifest(self._folder)
         except ManifestError as error:
-            path = self._folder / NAME
+            path = self._folder / MANIFEST_NAME
             with FolderLock(self._work / "lock"):
-                despite_readers(lambda: os.replace(path, path.with_name(f"{NAME}.damaged")))
+                despite_readers(lambda: os.replace(path, path.with_name(f"{MANIFEST_NAME}.damaged")))
             fault = str(error).rpartition(': delete')[0]
-            self.warnings.append(f"{fault}: renamed to {NAME}.damaged, a new one is started")
+            self.warnings.append(f"{fault}: renamed to {MANIFEST_NAME}.damaged, a new one is started")
             return Manifest()
 
     def _abouts(self) -> list[tuple[Path, About]]:
         found = []
-        for path in sorted(self._work.glob(f"*{SUFFIX}")):
+        for path in sorted(self._work.glob(f"*{CHECKPOINT_SUFFIX}")):
             with suppress(CheckpointError):
                 found.append((path, read_about(path)))
         return found
@@ -165,8 +178,8 @@ class RunFolder:
         """Remove partial files that killed runs left: no other run may write these files now."""
         remove_leftovers(self._folder, names, any_host=True)
         remove_leftovers(self._work, ["lock", "lock.breaking"])
-        for path in self._work.glob(f".*{SUFFIX}.*"):
-            if not is_alive(self._work, path.name[1:].partition(SUFFIX)[0]):
+        for path in self._work.glob(f".*{CHECKPOINT_SUFFIX}.*"):
+            if not is_alive(self._work, path.name[1:].partition(CHECKPOINT_SUFFIX)[0]):
                 remove(path)
 
 
@@ -193,15 +206,15 @@ def save_checkpoint(
     """Write a checkpoint; returns its size in bytes. `relax` is called between pieces."""
     arrays = {name: np.ascontiguousarray(array).reshape(np.shape(array)) for name, array in history.items()}
     shapes = [[name, array.dtype.name, array.shape] for name, array in arrays.items()]
-    header = MAGIC + json.dumps({**asdict(about), "arrays": shapes}).encode() + b"\n"
+    header = CHECKPOINT_MAGIC + json.dumps({**asdict(about), "arrays": shapes}).encode() + b"\n"
 
     def write(file: BinaryIO) -> None:
         digest = hashlib.sha256()
         contents: list[bytes | memoryview] = [header]
         contents += [array.reshape(-1).data.cast("B") for array in arrays.values()]
         for content in contents:
-            for first in range(0, len(content), PIECE):
-                piece = content[first : first + PIECE]
+            for first in range(0, len(content), FILE_PIECE_BYTES):
+                piece = content[first : first + FILE_PIECE_BYTES]
                 digest.update(piece)
                 file.write(piece)
                 if relax:
@@ -233,7 +246,7 @@ def load_checkpoint(path: Path) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     try:
         for name, kind, shape in shapes:
-            if kind not in _KINDS:
+            if kind not in _ARRAY_TYPES:
                 raise ValueError(f"an array of {kind}")
             arrays[name] = _array(path, kind, at, tuple(shape))
             at += arrays[name].nbytes
@@ -263,7 +276,7 @@ def _open(path: Path) -> BinaryIO:
 
 def _header(path: Path, file: BinaryIO) -> dict[str, Any]:
     try:
-        if file.readline(len(MAGIC)) != MAGIC:
+        if file.readline(len(CHECKPOINT_MAGIC)) != CHECKPOINT_MAGIC:
             raise ValueError("not a checkpoint")
         return dict(parse_json(file.readline(_MOST_HEADER)))
     except (OSError, ValueError, TypeError) as error:
@@ -274,7 +287,7 @@ def _is_altered(path: Path) -> bool:
     digest, left = hashlib.sha256(), path.stat().st_size - _DIGEST
     with _open(path) as file:
         while left > 0:
-            piece = file.read(min(left, PIECE))
+            piece = file.read(min(left, FILE_PIECE_BYTES))
             if not piece:
                 return True
             digest.update(piece)

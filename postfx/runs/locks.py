@@ -93,13 +93,13 @@ def _number(value: Any) -> int:
     return value if isinstance(value, int) else 0
 
 
-PATIENCE = 30.0
+LOCK_TIMEOUT_SECONDS = 30.0
 """Seconds to wait for a lock; others hold it for milliseconds only."""
 OLD = 60.0
 """Seconds after which a lock counts as abandoned if its holder cannot be checked from here."""
 EMPTY = 5.0
 """The same where it does not name its holder: it is empty for milliseconds, on file systems without links."""
-PAUSE = 0.02
+LOCK_PAUSE_SECONDS = 0.02
 
 
 class FolderLock:
@@ -109,7 +109,7 @@ class FolderLock:
     what names no process, such as a pipe. Raises RunError if the lock cannot be acquired in time.
     """
 
-    def __init__(self, path: Path, patience: float = PATIENCE) -> None:
+    def __init__(self, path: Path, patience: float = LOCK_TIMEOUT_SECONDS) -> None:
         self._path, self._patience = path, patience
 
     def __enter__(self) -> FolderLock:
@@ -121,7 +121,7 @@ class FolderLock:
                 holder = _holder(self._path)
                 raise RunError(f"{self._path}: held by {holder}: delete the file if that process has ended")
             else:
-                time.sleep(PAUSE)
+                time.sleep(LOCK_PAUSE_SECONDS)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -134,7 +134,7 @@ class FolderLock:
         if not _create(breaking):
             if _is_left(breaking):
                 remove(breaking)
-            time.sleep(PAUSE)
+            time.sleep(LOCK_PAUSE_SECONDS)
             return
         try:
             if _is_left(self._path):
@@ -176,9 +176,9 @@ def _is_left(path: Path) -> bool:
 
 BEAT = 10.0
 """Seconds between two heartbeats."""
-SILENT = 120.0
+SILENT_SECONDS = 120.0
 """Seconds without one after which a run on another machine counts as ended."""
-SUFFIX = ".claim"
+CLAIM_SUFFIX = ".claim"
 
 
 class Claim:
@@ -190,11 +190,12 @@ class Claim:
 
     def __init__(self, folder: Path, run: str, names: Iterable[str]) -> None:
         wanted = set(names)
-        for partial in folder.glob(f".*{SUFFIX}.*"):  # who writes a claim holds the lock: these are of killed runs
+        # who writes a claim holds the lock: these are of killed runs
+        for partial in folder.glob(f".*{CLAIM_SUFFIX}.*"):
             remove(partial)
-        for other in folder.glob(f"*{SUFFIX}"):
+        for other in folder.glob(f"*{CLAIM_SUFFIX}"):
             _refuse_shared(other, wanted)
-        self.path = folder / f"{run}{SUFFIX}"
+        self.path = folder / f"{run}{CLAIM_SUFFIX}"
         facts = {"process": Process.me().as_dict(), "files": sorted(wanted)}
         write_text(self.path, json.dumps(facts))
         self._over = threading.Event()
@@ -213,7 +214,7 @@ class Claim:
 
 def is_alive(folder: Path, run: str) -> bool:
     """Whether a run has a claim and has not ended."""
-    path = folder / f"{run}{SUFFIX}"
+    path = folder / f"{run}{CLAIM_SUFFIX}"
     return path.exists() and not _is_gone(path, _process(path)[0])
 
 
@@ -239,4 +240,4 @@ def _process(path: Path) -> tuple[Process, set[str]]:
 
 def _is_gone(path: Path, process: Process) -> bool:
     alive = process.is_alive()
-    return alive is False or (alive is None and age_of(path) > SILENT)
+    return alive is False or (alive is None and age_of(path) > SILENT_SECONDS)

@@ -15,10 +15,11 @@ from postfx.io.pattern import parse_pattern
 from postfx.runs.locks import FolderLock, is_alive
 from postfx.system import is_plain_name
 
-NAME = "postfx.manifest.json"
+MANIFEST_NAME = "postfx.manifest.json"
 WORK_FOLDER = ".postfx"
 """Folder beside the frames for locks, claims and checkpoints; removed after the last run."""
-FORMAT, VERSION = "postfx manifest", 1
+MANIFEST_FORMAT = "postfx manifest"
+MANIFEST_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class Manifest:
 
     def to_json(self) -> str:
         """The manifest as text."""
-        head = json.dumps({"format": FORMAT, "version": VERSION, "runs": self.runs}, indent=1)
+        head = json.dumps({"format": MANIFEST_FORMAT, "version": MANIFEST_VERSION, "runs": self.runs}, indent=1)
         lines = [f"  {json.dumps(name)}: {json.dumps(vars(self.outputs[name]))}" for name in sorted(self.outputs)]
         return f'{head[:-2]},\n "outputs": {{\n' + ",\n".join(lines) + "\n }\n}\n"
 
@@ -67,7 +68,7 @@ class Manifest:
         """Parse a manifest; ManifestError if the text is not one. Output names must be plain file names."""
         try:
             facts = parse_json(text)
-            if facts["format"] != FORMAT or facts["version"] != VERSION:
+            if facts["format"] != MANIFEST_FORMAT or facts["version"] != MANIFEST_VERSION:
                 raise ManifestError(f"it is of format {facts['format']!r} {facts['version']!r}")
             outputs = {str(name): _output(entry) for name, entry in facts["outputs"].items()}
             runs = {str(run): dict(entry) for run, entry in facts["runs"].items()}
@@ -82,7 +83,7 @@ class Manifest:
 def load_manifest(folder: Path) -> Manifest:
     """A folder's manifest, empty if there is none; ManifestError if it is damaged, ManifestReadError if it cannot be
     read."""
-    path = folder / NAME
+    path = folder / MANIFEST_NAME
     try:
         return Manifest.from_json(read_text(path))
     except FileNotFoundError:
@@ -99,10 +100,10 @@ def update_manifest(folder: Path, change: Callable[[Manifest], None]) -> None:
         manifest = load_manifest(folder)
         change(manifest)
         if not (manifest.runs or manifest.outputs):
-            remove(folder / NAME)
+            remove(folder / MANIFEST_NAME)
             return
         text = manifest.to_json().encode()
-        write_atomically(folder / NAME, lambda file: file.write(text), durable=True)
+        write_atomically(folder / MANIFEST_NAME, lambda file: file.write(text), durable=True)
 
 
 def _output(entry: Mapping[str, Any]) -> Output:
@@ -152,8 +153,8 @@ class Verification:
 
 def verify(folder: Path) -> Verification:
     """Check a folder; ManifestError if it has no manifest."""
-    if not os.path.isfile(folder / NAME):
-        raise ManifestError(f"{folder}: has no {NAME}: give the folder that 'postfx run' wrote to")
+    if not os.path.isfile(folder / MANIFEST_NAME):
+        raise ManifestError(f"{folder}: has no {MANIFEST_NAME}: give the folder that 'postfx run' wrote to")
     manifest = load_manifest(folder)
     found = Verification(runs=_states(folder, manifest))
     for name, output in manifest.outputs.items():

@@ -29,7 +29,7 @@ from postfx.plan import Plan, Skip
 from postfx.runs.folder import RunFolder, load_checkpoint
 from postfx.runs.locks import Process
 from postfx.runs.manifest import Output
-from postfx.runs.schedule import AUTO, EarlierRuns, Work, find_preroll, judge, schedule
+from postfx.runs.schedule import AUTO_PREROLL, EarlierRuns, Work, find_preroll, judge, schedule
 from postfx.runtime import Device, Library
 from postfx.version import __version__
 
@@ -160,7 +160,7 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
-MANY = 32
+MANY_RERUN_FRAMES = 32
 """Number of frames run again from which a warning says how to run fewer."""
 
 
@@ -178,7 +178,7 @@ class Options:
     log: str | None = None
     checkpoint: float | None = 30.0
     rerun: int | None = None
-    preroll: int | str = AUTO
+    preroll: int | str = AUTO_PREROLL
 
 
 class Run:
@@ -327,7 +327,7 @@ class Run:
             return [Work(number, True) for number in numbers if number in wanted]
         works = schedule(numbers, wanted, self._known(), options.rerun, self._sequence.holds)
         again = sum(not work.write for work in works)
-        if again > MANY and options.rerun is None:
+        if again > MANY_RERUN_FRAMES and options.rerun is None:
             self.warnings.append(f"{again} finished frames are run again, for the history of unfinished ones: "
                                  "--resume 8 runs fewer and gives nearly the same")
         if works and works[0].number == numbers[0] and not works[0].checkpoint:

@@ -131,7 +131,7 @@ def _has_changed(before: Inputs, now: Inputs) -> bool:
 
 # Chunks
 
-AUTO = "auto"
+AUTO_PREROLL = "auto"
 """As many frames before the first one as its shot has."""
 PREROLL = 96
 """Most frames that run before a chunk: on five sequences the first and the third frame after a seam were then at 57 dB
@@ -165,13 +165,13 @@ class Chunk:
                 "preroll": format_frames(self.preroll), "reads": format_frames(self.reads)}
 
 
-def find_preroll(sequence: Sequence, number: int, preroll: int | str = AUTO) -> list[int]:
+def find_preroll(sequence: Sequence, number: int, preroll: int | str = AUTO_PREROLL) -> list[int]:
     """Frames to run before one that has no history: so many, or by 'auto' those of its shot that lead to it without a
     hole, at most `PREROLL`.
 
     Headers and the sequence's cuts say where the shot begins; a frame that cannot be opened ends the search.
     """
-    if preroll != AUTO:
+    if preroll != AUTO_PREROLL:
         return sequence.before(number, int(preroll))
     found: list[int] = []
     reader, current = sequence.reader(), number

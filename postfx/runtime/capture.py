@@ -42,7 +42,7 @@ from postfx.version import pip_install
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto, TensorProto
 
-TENSORS = ("thumbnails", "none", "all")
+KEPT_TENSORS = ("thumbnails", "none", "all")
 """What a capture keeps of tensors: figures and small pictures, nothing, or also the whole content in files."""
 
 
@@ -147,8 +147,8 @@ class Capture:
     """
 
     def __init__(self, device: CapturableDevice, tensors: str, folder: str | Path | None, network: bool) -> None:
-        if tensors not in TENSORS:
-            raise CaptureError(f"a capture cannot keep '{tensors}' of tensors: use one of {', '.join(TENSORS)}")
+        if tensors not in KEPT_TENSORS:
+            raise CaptureError(f"a capture cannot keep '{tensors}' of tensors: use one of {', '.join(KEPT_TENSORS)}")
         if (tensors == "all") != (folder is not None):
             raise CaptureError("a capture with tensors='all' needs a folder=, any other has none")
         if network and tensors == "none":
@@ -420,7 +420,7 @@ def constant_nodes(model: ModelProto) -> set[int]:
     return found
 
 
-_BLOCK = 1 << 20
+_BLOCK_BYTES = 1 << 20
 
 
 def largest_error(a: np.ndarray, b: np.ndarray) -> tuple[float, tuple[int, ...]]:
@@ -433,8 +433,8 @@ def largest_error(a: np.ndarray, b: np.ndarray) -> tuple[float, tuple[int, ...]]
     left, right = a.reshape(-1), b.reshape(-1)
     usual = _mean_size(right)
     worst, place = 0.0, 0
-    for start in range(0, left.size, _BLOCK):
-        errors = _errors(left[start : start + _BLOCK], right[start : start + _BLOCK], usual)
+    for start in range(0, left.size, _BLOCK_BYTES):
+        errors = _errors(left[start : start + _BLOCK_BYTES], right[start : start + _BLOCK_BYTES], usual)
         at = int(errors.argmax())
         if errors[at] > worst:
             worst, place = float(errors[at]), start + at
@@ -451,8 +451,8 @@ def _errors(a: np.ndarray, b: np.ndarray, usual: float) -> np.ndarray:
 
 def _mean_size(values: np.ndarray) -> float:
     total, count = 0.0, 0
-    for start in range(0, values.size, _BLOCK):
-        block = np.abs(values[start : start + _BLOCK].astype(np.float64))
+    for start in range(0, values.size, _BLOCK_BYTES):
+        block = np.abs(values[start : start + _BLOCK_BYTES].astype(np.float64))
         kept = block[np.isfinite(block)]
         total, count = total + float(kept.sum()), count + kept.size
     return total / count if count else 0.0

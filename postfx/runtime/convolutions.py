@@ -24,18 +24,34 @@ from postfx.runtime.model_file import ModelFile, Node, Weights, parse_model
 if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor, TensorDevice
 
-SQUARE, WIDE, GROUP = (8, 8), (2, 32), 128
-"""As in the kernels: rows and columns of the pixels that a group takes, and of those of heads; threads of a group."""
-TILES, STEP = (160, 128, 96, 80, 64, 40, 32, 16), 32
-"""Channels that a block of threads can make; all channels are multiples of the step."""
-GROUPS, MOST_GROUPS, SLOTS = (4, 3, 2, 1), 12, (4, 3)
-"""Groups that a block may have, how many are enough for a processor, and parts of weights that a block may hold."""
-WAIT, WRITE, WEIGHT_BYTES, PIXEL_BYTES = 4700, 5.6, 134, 13
-"""Cycles that a group waits for pixels, and in which a channel is written; bytes that come in a cycle."""
+# As in the kernels: rows and columns of the pixels that a group takes, and of those of heads;
+# threads of a group.
+SQUARE = (8, 8)
+WIDE = (2, 32)
+GROUP = 128
+
+# Channels that a block of threads can make; all channels are multiples of the step.
+TILES = (160, 128, 96, 80, 64, 40, 32, 16)
+STEP = 32
+
+# Groups that a block may have, how many are enough for a processor, and parts of weights that a
+# block may hold.
+GROUP_COUNTS = (4, 3, 2, 1)
+MOST_GROUPS = 12
+SLOTS = (4, 3)
+
+# Cycles that a group waits for pixels, and in which a channel is written; bytes that come in a
+# cycle.
+WAIT = 4700
+WRITE = 5.6
+CYCLE_WEIGHT_BYTES = 134
+CYCLE_PIXEL_BYTES = 13
+
 ARGUMENTS = ("input", "coarse", "weights", "bias", "added", "output", "second")
 """Tensors of every kernel."""
 HALF = np.dtype(np.float16)
-_FLOAT, _FLOAT16 = 1, 10
+_FLOAT = 1
+_FLOAT16 = 10
 _NEAREST = {"mode": "nearest", "nearest_mode": "floor", "coordinate_transformation_mode": "asymmetric"}
 
 
@@ -407,7 +423,7 @@ def choices(layer: Layer, rows: int, columns: int, gpu: Gpu) -> list[Launch]:
     found = list[Launch]()
     for tile in layer.tiles if gpu.warpgroups else [tile for tile in layer.tiles if tile % 16 == 0]:
         for slots in (0, *SLOTS) if gpu.warpgroups and layer.taps > 1 else (0,):
-            for groups in GROUPS:
+            for groups in GROUP_COUNTS:
                 launch = Launch(layer, rows, columns, tile, groups, 1, slots)
                 most = 65536 // (groups * GROUP * (48 + tile // 2))  # as registers allow
                 held = min((gpu.most_shared + 1024) // (launch.shared + 1024), most, MOST_GROUPS // groups)
@@ -433,8 +449,8 @@ def _cycles(launch: Launch, gpu: Gpu) -> float:
     load = held * launch.groups
     rounds = -(-tasks // (gpu.processors * load))
     product = launch.factors // 16 * (tile / 2 if gpu.warpgroups else 16 + tile)
-    weights = held * 2 * launch.factors * tile / WEIGHT_BYTES * (rounds if launch.slots else 1)
-    return weights + rounds * (WAIT + load * (product + WRITE * tile + launch.square / PIXEL_BYTES))
+    weights = held * 2 * launch.factors * tile / CYCLE_WEIGHT_BYTES * (rounds if launch.slots else 1)
+    return weights + rounds * (WAIT + load * (product + WRITE * tile + launch.square / CYCLE_PIXEL_BYTES))
 
 
 def multiply_source(tile: int) -> str:

@@ -31,10 +31,13 @@ if TYPE_CHECKING:
     from postfx.runtime.tensor import Tensor
 
 T = TypeVar("T")
-SMALL = 1 << 14
+SMALL_WRITE_BYTES = 1 << 14
 """Bytes of arrays, such as parameters, that are written without waiting."""
-PIXELS, ONE_BLOCK = (32, 8), (32, 32)
-"""Threads of a block (columns, rows): for kernels with one thread per pixel, and for those of a single block."""
+
+# Threads of a block (columns, rows): for kernels with one thread per pixel, and for those of a
+# single block.
+PIXELS = (32, 8)
+ONE_BLOCK = (32, 32)
 
 
 class View(ctypes.Structure):
@@ -101,7 +104,7 @@ class CudaMemory:
         """Copy a C-contiguous host array to `pointer` once the stream's earlier work is done. Nothing waits for a small
         one: the driver keeps what it is given from pageable memory, as a new array's is."""
         with self._hold():
-            small = array.nbytes <= SMALL
+            small = array.nbytes <= SMALL_WRITE_BYTES
             given = array.copy() if small else array
             check_result(driver().cuMemcpyHtoDAsync(pointer, address(given), array.nbytes, self.stream))
             if not small:
@@ -339,7 +342,7 @@ def _let_wait(stream: int, event: Event) -> None:
     check_result(driver().cuStreamWaitEvent(stream, event.handle, 0))
 
 
-MOST = 16
+MOST_CAPTURED_GRAPHS = 16
 """Graphs that are kept. A pipeline needs two, because its history alternates between two sets of tensors."""
 
 
@@ -393,8 +396,9 @@ class CudaGraphs:
 
     def __init__(self, stream: int) -> None:
         self._stream = stream
-        self._known: LRUCache[Hashable, Graph | None] = LRUCache(MOST)  # None: ran, but was not captured
-        self._refused: LRUCache[Hashable, None] = LRUCache(MOST)
+        # None: ran, but was not captured
+        self._known: LRUCache[Hashable, Graph | None] = LRUCache(MOST_CAPTURED_GRAPHS)
+        self._refused: LRUCache[Hashable, None] = LRUCache(MOST_CAPTURED_GRAPHS)
         self.capturing = False
 
     def replay(self, key: Hashable, kept: Any, enqueue: Callable[[], Any]) -> Any:

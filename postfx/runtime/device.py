@@ -462,12 +462,12 @@ def _text(values: list[tuple[str, str]]) -> str:
     return ", ".join(f"{name} {dtype}" for name, dtype in values)
 
 
-_NAME = re.compile(r"(auto|cpu|cuda)(?::(\d+))?")
+_DEVICE_NAME = re.compile(r"(auto|cpu|cuda)(?::(\d+))?")
 
 
 def choose(name: str, threads: int, graphs: bool = True) -> tuple[Placement, Memory]:
     """Placement and memory of 'cpu', 'cuda', 'cuda:1' or 'auto'. Raises DeviceError when it is not available."""
-    match = _NAME.fullmatch(name)
+    match = _DEVICE_NAME.fullmatch(name)
     if match is None or (match[2] and match[1] != "cuda"):
         raise DeviceError(f"no device '{name}': use auto, cpu, cuda or cuda:N")
     index = int(match[2] or 0)

@@ -21,7 +21,7 @@ from postfx.runtime.hazards import predecessors
 from postfx.runtime.memory import ALIGNMENT, Chunk, Memory, Ranges
 from postfx.runtime.tensor import Allocation, Tensor, TensorDevice, Transient, size_in_bytes
 
-CHUNK = 64 << 20
+CHUNK_BYTES = 64 << 20
 """Bytes requested from the system at once, at least; on the host, untouched pages cost nothing."""
 
 
@@ -162,7 +162,7 @@ class Heap:
 
     def _grow(self, nbytes: int) -> _Block:
         self._drop_idle()  # too small for this tensor; keeping them would add up all sizes ever used
-        chunk = self._memory.allocate(max(nbytes, CHUNK))
+        chunk = self._memory.allocate(max(nbytes, CHUNK_BYTES))
         self._blocks.append(_Block(chunk, [(chunk.pointer, chunk.pointer + chunk.nbytes)]))
         return self._blocks[-1]
 
@@ -181,7 +181,7 @@ class Heap:
 _NOWHERE = 1 << 62
 """Until a transient tensor is placed its address is a multiple of this, which no real memory has."""
 
-MOST_PLANS = 64
+MOST_CACHED_PLANS = 64
 """How many plans are cached; the least recently used is dropped first."""
 
 
@@ -208,7 +208,7 @@ class Arena:
 
     def __init__(self, device: TensorDevice) -> None:
         self._device = device
-        self._plans: LRUCache[tuple[object, ...], Plan] = LRUCache(MOST_PLANS)
+        self._plans: LRUCache[tuple[object, ...], Plan] = LRUCache(MOST_CACHED_PLANS)
         self._memory: weakref.ref[Tensor] | None = None
         self._replaced: weakref.ref[Tensor] | None = None
         self._live: weakref.WeakSet[Transient] = weakref.WeakSet()

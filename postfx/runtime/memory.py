@@ -17,14 +17,16 @@ from postfx.planes import WORTH, copy_pieces, share
 from postfx.system import Scratch
 
 T = TypeVar("T")
-TENSORS = 0.4
+TENSOR_BUDGET_SHARE = 0.4
 """Share of the memory budget for tensors; the rest is for networks."""
 ALIGNMENT = 256
 """Byte alignment of every tensor: a multiple of the cache line and of efficient GPU copies."""
 
 
-HOST, CUDA = (1, 0), 2
-"""DLPack's numbers: the host's memory as kind and number of a device, and the kind of CUDA's."""
+# DLPack's numbers: the host's memory as kind and number of a device, and the kind of CUDA's.
+HOST = (1, 0)
+CUDA = 2
+
 HOST_KINDS = (1, 3)
 """Kinds that are the host's memory: plain, and pinned by CUDA."""
 
@@ -180,7 +182,7 @@ class HostMemory(Immediate):
         """A new chunk of host memory."""
         if self._scratch is not None:
             held = sum(chunk.nbytes for chunk in self._held)
-            if held + nbytes > TENSORS * self._scratch.left:
+            if held + nbytes > TENSOR_BUDGET_SHARE * self._scratch.left:
                 return MappedChunk(self._scratch, nbytes)
         chunk = HostChunk(nbytes)
         self._held.add(chunk)
@@ -294,7 +296,7 @@ class _Managed(ctypes.Structure):
 _FRESH = b"dltensor"
 """Name of a capsule that nobody opened yet."""
 _CODES = {"int": 0, "uint": 1, "float": 2, "bfloat": 4, "bool": 6}
-_WORDS = {code: word for word, code in _CODES.items()}
+_CODE_WORDS = {code: word for word, code in _CODES.items()}
 _python = ctypes.pythonapi
 _new_capsule = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p)(
     ("PyCapsule_New", _python))
@@ -346,7 +348,7 @@ def _number_of(dtype: str) -> tuple[int, int]:
 @lru_cache(256)
 def _name_of(code: int, bits: int) -> str:
     """The type that DLPack's numbers mean."""
-    word = _WORDS.get(code, f"DLPack's type {code} of ")
+    word = _CODE_WORDS.get(code, f"DLPack's type {code} of ")
     return "bool" if word == "bool" else f"{word}{bits}"
 
 

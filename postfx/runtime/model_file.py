@@ -253,7 +253,7 @@ def fix_dimensions(content: bytes, sizes: Mapping[tuple[str, int], int]) -> byte
     return _replace(_replace(content, (7, 11), fix_value), (7, 12), fix_value)  # graph, input; graph, output
 
 
-_FLOATS = {1: "<f4", 10: "<f2"}
+_FLOAT_CODES = {1: "<f4", 10: "<f2"}
 """ONNX's numbers of the element types that a table may have."""
 
 
@@ -271,9 +271,9 @@ def read_tables(content: bytes) -> dict[str, np.ndarray]:
     found = {}
     for output in model.outputs:
         table = stored.get(from_nodes.get(output.name, output.name))
-        if table is None or not table.raw or table.external or table.kind not in _FLOATS:
+        if table is None or not table.raw or table.external or table.kind not in _FLOAT_CODES:
             raise ValueError(f"'{output.name}' is not stored in it")
-        values: np.ndarray = np.frombuffer(table.content, np.dtype(_FLOATS[table.kind]))
+        values: np.ndarray = np.frombuffer(table.content, np.dtype(_FLOAT_CODES[table.kind]))
         found[output.name] = values.reshape(table.dims).astype(np.float32)
     return found
 
@@ -286,7 +286,9 @@ class Product(NamedTuple):
     factors: np.ndarray
 
 
-MOST_FACTOR, SIGN, CODES = 64, 128, "codes_"
+MOST_FACTOR = 64
+SIGN = 128
+CODES_PREFIX = "codes_"
 _BYTES = (2, 3)  # uint8, int8
 
 
@@ -304,7 +306,7 @@ def take_products(content: bytes) -> tuple[bytes, dict[str, Product]]:
     for output in model.outputs if not any(node.has_graph for node in model.nodes) else ():
         if found := _product(output.name, makers, weights):
             source, factors = found
-            sources.setdefault(source, f"{CODES}{output.name.rpartition('_')[2]}")
+            sources.setdefault(source, f"{CODES_PREFIX}{output.name.rpartition('_')[2]}")
             taken[output.name] = Product(sources[source], factors)
     if not taken:
         return content, taken
@@ -391,7 +393,10 @@ def _message(value: Field) -> memoryview:
     return value
 
 
-VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
+VARINT = 0
+FIXED64 = 1
+BYTES = 2
+FIXED32 = 5
 _WIDTHS = {FIXED64: 8, FIXED32: 4}
 _MOST_VARINT = 10  # bytes that 64 bits take
 

@@ -15,8 +15,8 @@ from postfx.files import make_printable, parse_json, read_text
 from postfx.runtime.model_file import Declaration, ModelFile, Weights, WireError, parse_model
 from postfx.system import is_plain_name, models_dir
 
-_PARTS = {"inputs": dict, "outputs": dict, "weights": str}
-_WORDS = {dict: "objects", str: "texts"}
+_CARD_PARTS = {"inputs": dict, "outputs": dict, "weights": str}
+_KIND_WORDS = {dict: "objects", str: "texts"}
 _MOST_CARD = 1 << 20  # bytes
 _CARDS = 64
 """Cards that are remembered: a plan asks for the same ones dozens of times."""
@@ -104,10 +104,10 @@ def _read_card(path: Path, version: tuple[int, int, int]) -> dict[str, Any]:
     card = parse_json(read_text(path, _MOST_CARD))
     if not isinstance(card, dict):
         raise ModelError(f"card '{path}' is not a JSON object")
-    for key, kind in _PARTS.items():
+    for key, kind in _CARD_PARTS.items():
         held = card.get(key, {})
         if not isinstance(held, dict) or not all(type(value) is kind for value in held.values()):
-            raise ModelError(f"card '{path}': '{key}' must be an object of {_WORDS[kind]}")
+            raise ModelError(f"card '{path}': '{key}' must be an object of {_KIND_WORDS[kind]}")
     for facts in (*card.get("inputs", {}).values(), *card.get("outputs", {}).values()):
         if not isinstance(facts.get("shape", []), list):
             raise ModelError(f"card '{path}': a 'shape' must be a list of numbers and names")
@@ -126,15 +126,15 @@ def _content(path: Path) -> bytes:
     try:
         if not path.is_file():
             raise ModelError(f"model '{path}' is not a file")
-        if path.stat().st_size > MOST_BYTES:
+        if path.stat().st_size > MOST_MODEL_BYTES:
             size = f"{path.stat().st_size >> 20} MB"
-            raise ModelError(f"model '{path}' is refused: it has {size}, more than {MOST_BYTES >> 20} MB")
+            raise ModelError(f"model '{path}' is refused: it has {size}, more than {MOST_MODEL_BYTES >> 20} MB")
         return path.read_bytes()
     except OSError as error:
         raise ModelError(f"model '{path}' cannot be read: {error}") from error
 
 
-MOST_BYTES = 1 << 30
+MOST_MODEL_BYTES = 1 << 30
 """Of a model's file."""
 MOST_ELEMENTS = 1 << 31
 """Of a value whose shape the file fixes."""
@@ -177,15 +177,15 @@ MICROSOFT_OPERATORS = frozenset("""
 """ONNX Runtime's own operators of that kind. Others of its domain search with graphs of their own, draw random
 numbers, take strings apart or load programs (`EPContext`, `Snpe`)."""
 
-KNOWN = {"": OPERATORS, "ai.onnx": OPERATORS, "com.microsoft": MICROSOFT_OPERATORS}
+KNOWN_OPERATORS = {"": OPERATORS, "ai.onnx": OPERATORS, "com.microsoft": MICROSOFT_OPERATORS}
 """Operators by domain."""
 
 SIZED_BY = {"AffineGrid": 1, "BlackmanWindow": 0, "Col2Im": 1, "ConstantOfShape": 0, "Expand": 1, "HammingWindow": 0,
             "HannWindow": 0, "MaxUnpool": 2, "Reshape": 1, "Resize": 3, "Tile": 1}
 """Operators whose output size is the value of an input -> the index of that input."""
 
-_BITS = {1: 32, 2: 8, 3: 8, 4: 16, 5: 16, 6: 32, 7: 64, 9: 8, 10: 16, 11: 64, 12: 32, 13: 64, 16: 16, 17: 8, 18: 8,
-         19: 8, 20: 8, 21: 4, 22: 4}
+_ELEMENT_BITS = {1: 32, 2: 8, 3: 8, 4: 16, 5: 16, 6: 32, 7: 64, 9: 8, 10: 16, 11: 64, 12: 32, 13: 64, 16: 16, 17: 8,
+                 18: 8, 19: 8, 20: 8, 21: 4, 22: 4}
 """Element types that tensors of a model may have, by ONNX's number -> bits; no strings, no complex numbers."""
 
 
@@ -210,7 +210,7 @@ def _unknown_work(model: ModelFile) -> Iterator[str]:
     harm."""
     yield from (f"it holds {extra}" for extra in sorted(model.extras))
     for node in model.nodes:
-        if node.operator not in KNOWN.get(node.domain, ()):
+        if node.operator not in KNOWN_OPERATORS.get(node.domain, ()):
             name = f"{node.domain}.{node.operator}" if node.domain else node.operator
             yield f"the operator '{name}' is not known"
         if node.has_graph:
@@ -231,14 +231,14 @@ def _reasons(model: ModelFile, path: Path, card: Mapping[str, Any]) -> Iterator[
 
 def _wrong_weights(weights: Weights, path: Path, card: Mapping[str, Any]) -> Iterator[str]:
     name = f"tensor '{weights.name}'"
-    if weights.kind not in _BITS:
+    if weights.kind not in _ELEMENT_BITS:
         yield f"{name} is of a type that is not known ({weights.kind})"
         return
     if _is_huge(weights.dims):
         yield f"{name} is too large: {_text(weights.dims)}"
         return
     count = math.prod(weights.dims)
-    nbytes = -(-count * _BITS[weights.kind] // 8)
+    nbytes = -(-count * _ELEMENT_BITS[weights.kind] // 8)
     if weights.external is not None:
         yield from (f"{name} {reason}" for reason in _wrong_place(weights.external, nbytes, path, card))
     elif nbytes != weights.held if weights.raw else count > weights.held:

@@ -66,7 +66,7 @@ providers cannot have: {name: {"shape": [...], "float32": "base64"}}."""
 _ELEMENT_TYPES = {"float": "float32", "double": "float64"}
 _BFLOAT16 = 16
 OPTIMISED_FOLDER = "networks"
-MOST_BYTES = 256 << 20
+MOST_CACHE_BYTES = 256 << 20
 """Total bytes of cached files; the least recently used are removed first."""
 LARGEST_MODEL = 2 << 20
 """Largest model that is cached: reading and checking a larger one takes as long as optimising it again."""
@@ -460,7 +460,7 @@ def _remove_oldest(folder: Path) -> None:
     total = 0
     for file in sorted(facts, key=lambda file: facts[file].st_mtime, reverse=True):
         total += facts[file].st_size
-        if total > MOST_BYTES:
+        if total > MOST_CACHE_BYTES:
             file.unlink(missing_ok=True)
 
 

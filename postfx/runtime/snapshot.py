@@ -126,9 +126,9 @@ class CapturedBuffer:
 PICTURE_WIDTH = 192
 PICTURE_HEIGHT = 384
 MOST_SLICES = 64
-MOST_VALUES = 64
+MOST_KEPT_VALUES = 64
 NODE_SLICES = 8
-_BLOCK = 1 << 20
+_BLOCK_VALUES = 1 << 20
 
 
 class Pictures(NamedTuple):
@@ -169,7 +169,7 @@ class Snapshot:
         pictures: the first of them, float32 (height, width), every n-th pixel so that they are at most `PICTURE_WIDTH`
             wide and `PICTURE_HEIGHT` high: three of them, or `MOST_SLICES` in a capture of all; of nodes inside
             networks as `NODE_PICTURES`.
-        values: all elements, if there are at most `MOST_VALUES`.
+        values: all elements, if there are at most `MOST_KEPT_VALUES`.
         file: the content as .npy, relative to the capture's folder; None unless all was captured.
     """
 
@@ -188,7 +188,7 @@ def take(array: np.ndarray, wanted: Pictures, folder: Path | None = None, file: 
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / file, lambda output: np.save(output, array))
     planes = as_planes(array)
-    values = array.ravel().tolist() if array.size <= MOST_VALUES else None
+    values = array.ravel().tolist() if array.size <= MOST_KEPT_VALUES else None
     pictures = [] if planes is None else [_small(plane, wanted) for plane in planes[: wanted.most]]
     return Snapshot(statistics(array), 0 if planes is None else len(planes), pictures, values, file if folder else None)
 
@@ -197,8 +197,8 @@ def statistics(array: np.ndarray) -> Statistics:
     """Figures of a non-empty array of any shape; works in blocks, so it takes little memory."""
     flat = array.reshape(-1)
     low, high, total, finite, zeros, nans = math.inf, -math.inf, 0.0, 0, 0, 0
-    for start in range(0, flat.size, _BLOCK):
-        block = flat[start : start + _BLOCK].astype(np.float64)
+    for start in range(0, flat.size, _BLOCK_VALUES):
+        block = flat[start : start + _BLOCK_VALUES].astype(np.float64)
         nans += int(np.isnan(block).sum())
         zeros += int((block == 0).sum())
         kept = block[np.isfinite(block)]

@@ -29,7 +29,7 @@ from postfx.compiled.library import Function
 from postfx.errors import CommandError, CommandTimeout
 from postfx.workers import Workers
 
-LOOK = 100e-6
+SPIN_SECONDS = 100e-6
 """Seconds that a thread spins before it sleeps: more than the gap between two kernels."""
 DELAY = 5e-6
 """Seconds after which a helper takes the interpreter's lock: by then the thread that gave it a band has released it."""
@@ -148,7 +148,7 @@ class Helpers:
         self._rows = [self._board[i:].ctypes.data for i in range(count)]
         self._bands: list[Band | None] = [None] * count
         self._failures: list[BaseException | None] = [None] * count
-        self._looks, self._delay = pauses_in(LOOK), pauses_in(DELAY)
+        self._looks, self._delay = pauses_in(SPIN_SECONDS), pauses_in(DELAY)
         self._lock = threading.Lock()
 
     def work(self, bands: Sequence[Band]) -> None:
@@ -236,7 +236,7 @@ class Waitable(Protocol):
     def wait(self, timeout: float | None = None) -> None: ...
 
 
-NAMED = 4
+MOST_NAMED_BUFFERS = 4
 """How many waiting command buffers a message names at most."""
 
 
@@ -274,6 +274,6 @@ def timeout_error(what: str, flying: Sequence[Waitable]) -> CommandTimeout:
 def _text_behind(labels: tuple[str, ...]) -> str:
     if not labels:
         return ""
-    named = ", ".join(f"'{label}'" for label in labels[:NAMED])
-    more = f" and {len(labels) - NAMED} more" if len(labels) > NAMED else ""
+    named = ", ".join(f"'{label}'" for label in labels[:MOST_NAMED_BUFFERS])
+    more = f" and {len(labels) - MOST_NAMED_BUFFERS} more" if len(labels) > MOST_NAMED_BUFFERS else ""
     return f"; behind it wait {named}{more}"

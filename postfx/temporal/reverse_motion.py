@@ -15,7 +15,7 @@ from postfx.cuts import CutDetector
 from postfx.frame import Frame, Role
 from postfx.repair import still_where_unknown
 
-LONGEST = 8
+LONGEST_HISTORY_FRAMES = 8
 """Longest history that counts, in frames: a longer one hardly improves a result."""
 
 FAR = np.float32(1e30)
@@ -26,7 +26,7 @@ ALIKE = np.float32(0.03)
 """Relative difference in depth between neighbouring pixels of one surface."""
 SAME = np.float32(0.05)
 """Relative difference in depth of one point between two frames."""
-ROUNDS = 2
+CRACK_ROUNDS = 2
 """Pixels by which cracks are filled from each side. Cracks open where the next frame shows a surface larger."""
 
 
@@ -61,7 +61,7 @@ def invert_motion(motion: np.ndarray, after: np.ndarray, depth: np.ndarray) -> n
     motion, after, depth = (whole(plane, np.float32) for plane in (motion, after, depth))
     _splat(0, len(motion), motion, after, nearest, inverse)
     filled = np.empty(depth.shape[:2], np.bool_)
-    for _ in range(ROUNDS):
+    for _ in range(CRACK_ROUNDS):
         _fill_cracks(0, len(depth), nearest, depth, inverse, filled)
         nearest[filled] = 0
     return inverse
@@ -86,13 +86,14 @@ class HistoryLength:
             self._detector.reset()
 
     def __call__(self, frame: Frame) -> np.ndarray:
-        """Lengths (h, w), uint8, from 1 to LONGEST."""
+        """Lengths (h, w), uint8, from 1 to LONGEST_HISTORY_FRAMES."""
         length = np.ones(next(iter(frame.planes.values())).shape[:2], np.uint8)
         depth = _depth(frame)
         cut = self._detector is not None and self._detector(frame)
         if self._before and not (cut or frame.reset) and Role.MOTION in frame:
             given = (whole(plane, np.float32) for plane in (frame[Role.MOTION], depth))
-            _extend_history(0, len(length), *given, *self._before, np.array([LONGEST], np.float32), length)
+            _extend_history(0, len(length), *given, *self._before, np.array([LONGEST_HISTORY_FRAMES], np.float32),
+                            length)
         self._before = depth.copy(order="C"), length  # the caller may write the next frame into the same arrays
         return length
 

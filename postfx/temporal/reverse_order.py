@@ -21,11 +21,17 @@ from postfx.passes.denoise import DenoiseUpscale
 from postfx.pipeline import Pipeline
 from postfx.plan import Plan
 from postfx.runtime import Device
-from postfx.temporal.reverse_motion import LONGEST, HistoryLength, premultiply, reverse_motion, share_by_length
+from postfx.temporal.reverse_motion import (
+    LONGEST_HISTORY_FRAMES,
+    HistoryLength,
+    premultiply,
+    reverse_motion,
+    share_by_length,
+)
 
 RUN_UP = 8
 """Frames of a run-up. With half as many, some frames after the first come out worse than without a run-up."""
-PART = 32
+PART_FRAMES = 32
 """Frames of a part, which run in reverse order together; their results are kept until they are needed."""
 HALF_MAX = np.float32(65504)
 """Largest number of half precision."""
@@ -154,9 +160,9 @@ class Backwards:
         wrap: as for a `Pipeline`.
         options: of `DenoiseUpscale`, the same as for the frames in order.
 
-    The sequence runs in parts of PART frames, each from its last frame to its first, after a run-up over the frames
-    after it. Frames of the run-up may lie beyond the end of the sequence if their files exist. Frames that cannot be
-    read are skipped without an error.
+    The sequence runs in parts of PART_FRAMES frames, each from its last frame to its first, after a run-up over the
+    frames after it. Frames of the run-up may lie beyond the end of the sequence if their files exist. Frames that
+    cannot be read are skipped without an error.
 
     Attributes:
         milliseconds: device time of the last frame in reverse order; None if it did not have to run.
@@ -232,7 +238,7 @@ class Backwards:
         index = self._at[frame.number]
         if index != self._last + 1:
             self._ahead.reset()
-            for earlier in range(max(0, index - LONGEST), index):
+            for earlier in range(max(0, index - LONGEST_HISTORY_FRAMES), index):
                 self._follow(self._read(earlier))
         self._last = index
         return self._ahead(frame)
@@ -258,7 +264,7 @@ class Backwards:
 
     def _limits(self, index: int) -> tuple[int, int]:
         """Index after the last frame of a frame's part, and index after the last frame of its run-up."""
-        end = min((index // PART + 1) * PART, self._asked)
+        end = min((index // PART_FRAMES + 1) * PART_FRAMES, self._asked)
         return end, min(end + RUN_UP, len(self._numbers))
 
     def _run(self, first: int, check: Callable[[], None]) -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from postfx.adaptive.estimate import error_of_half, estimate_error, estimate_from_halves, mean_frame, read_error
 from postfx.adaptive.plan import (
-    FEWEST,
-    MOST,
+    FEWEST_SAMPLES,
+    MOST_SAMPLES_FACTOR,
     SLOPE,
     Region,
     Tiles,
@@ -55,7 +55,7 @@ def test_a_tile_gets_what_its_quality_needs():
     tiles = tiles_of([[quality.error / 2, quality.error * 2, quality.error * 1e4]])
     (more,) = plan_samples([tiles], quality)
     exact = 4 * (2 ** (1 / SLOPE) - 1)
-    assert more[0, 0] == 0 and exact <= more[0, 1] < 2 * exact and more[0, 2] == 4 * MOST
+    assert more[0, 0] == 0 and exact <= more[0, 1] < 2 * exact and more[0, 2] == 4 * MOST_SAMPLES_FACTOR
     assert tiles.error_with(more)[0, 1] <= quality.error
 
 
@@ -187,7 +187,7 @@ def test_two_renders_are_averaged_but_for_depth_and_motion():
 def test_a_quality_in_flip_spreads_a_budget_more_evenly_than_one_in_decibels():
     shot = [tiles_of([[1e-2, 1e-3]])]
     by_flip, by_decibels = (plan_samples(shot, parse_quality(text), 10)[0][0] for text in ("flip=0.001", "70dB"))
-    assert by_decibels[0] >= by_flip[0] >= FEWEST and by_flip[1] >= FEWEST > by_decibels[1]
+    assert by_decibels[0] >= by_flip[0] >= FEWEST_SAMPLES and by_flip[1] >= FEWEST_SAMPLES > by_decibels[1]
 
 
 def test_the_estimate_orders_the_tiles_of_real_renders(shared_dir: Path):
@@ -223,10 +223,11 @@ def test_the_plane_error_of_a_file_counts(tmp_path: Path, capsys):
     assert facts["error_from"] == ["the AOV 'error'"] and facts["frames"][0]["samples"] == 4
     (region,) = facts["frames"][0]["regions"]
     assert region | {"samples": 0} == {"x": 0, "y": 32, "width": 32, "height": 32, "samples": 0}
-    assert region["samples"] == 4 * MOST
+    assert region["samples"] == 4 * MOST_SAMPLES_FACTOR
     with ImageFile(tmp_path / "map/0001.exr") as file:
         found = file.read(file.parts[0], {"samples.Y": 0, "error.Y": 0, "after.Y": 0})
-    assert found["samples.Y"][40, 3] == 4 * MOST and found["samples.Y"].sum() == 4 * MOST * 1024
+    assert (found["samples.Y"][40, 3] == 4 * MOST_SAMPLES_FACTOR
+            and found["samples.Y"].sum() == 4 * MOST_SAMPLES_FACTOR * 1024)
     assert found["error.Y"][40, 3] == pytest.approx(1e-2) and found["after.Y"][40, 3] < 5e-3
     assert main(words) == 2 and "is already there" in capsys.readouterr().err
 
@@ -276,4 +277,4 @@ def test_what_cannot_be_planned_is_said_in_one_line(tmp_path: Path, capsys):
 def test_few_samples_are_not_worth_a_render():
     quality = parse_quality("36dB")
     (more,) = plan_samples([tiles_of([[quality.error * 1.05, quality.error * 1.5]], 4)], quality)
-    assert more[0, 0] == 0 and more[0, 1] >= FEWEST
+    assert more[0, 0] == 0 and more[0, 1] >= FEWEST_SAMPLES

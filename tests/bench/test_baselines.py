@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from postfx.bench.baselines import LONGEST, Accumulator, HostKernels, Oidn
+from postfx.bench.baselines import LONGEST_AVERAGE_FRAMES, Accumulator, HostKernels, Oidn
 from postfx.frame import Frame, Role
 from postfx.runtime import Device
 
@@ -41,7 +41,7 @@ def test_the_mean_goes_back_ten_frames_at_most(kernels):
     accumulate = Accumulator(kernels)
     for _ in range(30):
         accumulate(flat(0), frame())
-    assert np.allclose(accumulate(flat(1), frame()), 1 / LONGEST)
+    assert np.allclose(accumulate(flat(1), frame()), 1 / LONGEST_AVERAGE_FRAMES)
 
 
 @pytest.mark.parametrize("other", [{"depth": 2.5}, {"normal": (1.0, 0.0, 0.0)}, {"reset": True}])

@@ -71,7 +71,7 @@ def test_an_actor_says_what_its_machine_lacks(tmp_path):
 
 
 def test_an_actor_waits_for_files_of_a_process_that_may_be_dead(here, noise, monkeypatch):
-    monkeypatch.setattr("postfx.cli.chunks.PAUSE", 0.05)
+    monkeypatch.setattr("postfx.cli.chunks.CLAIM_PAUSE_SECONDS", 0.05)
     work = noise / "out/.postfx"
     work.mkdir(parents=True)
     claim = Claim(work, "dying", ["shot.0002.exr"])

@@ -115,7 +115,7 @@ def test_a_single_coverage_that_cannot_be_is_seen(value):
 def test_of_the_largest_pictures_two_are_compared(monkeypatch):
     sequence = read_sequence(ROOM / "noisy.####.exr")
     for pixels, numbers in ((1, [1, 2]), (3 * 320 * 180, [1, 2, 3])):
-        monkeypatch.setattr(material_module, "MOST_PIXELS", pixels)
+        monkeypatch.setattr(material_module, "MOST_HELD_PIXELS", pixels)
         assert [frame.number for frame in read_material(sequence).material.frames] == numbers
 
 

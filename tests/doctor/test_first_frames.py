@@ -44,7 +44,7 @@ def test_a_wrong_sign_and_a_wrong_unit_are_told_with_the_fix(room):
 
 def test_the_unit_of_a_large_picture_is_that_of_all_of_it(room, monkeypatch):
     """Only a window of it is compared."""
-    monkeypatch.setattr("postfx.doctor.first_frames.WINDOW", (240, 140))
+    monkeypatch.setattr("postfx.doctor.first_frames.COMPARED_WINDOW_PX", (240, 140))
     height, width = room[0][Role.COLOUR].shape[:2]
     (line,) = said(with_motion(room, lambda motion: motion / np.float32((width, height))))
     assert 'unit = "uv"' in line

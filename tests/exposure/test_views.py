@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from postfx.colour.views import BANDS, false_colour, log_c, zebra
+from postfx.colour.views import FALSE_COLOUR_BANDS, false_colour, log_c, zebra
 from postfx.report.charts import add_key
 
-COLOURS = {band.meaning: band.colour for band in BANDS}
+COLOURS = {band.meaning: band.colour for band in FALSE_COLOUR_BANDS}
 
 
 def shade(signal: float) -> tuple[int, ...]:
@@ -14,7 +14,7 @@ def shade(signal: float) -> tuple[int, ...]:
 
 
 def test_bands_are_those_of_the_manual():
-    levels = {band.meaning: (band.low, band.high) for band in BANDS}
+    levels = {band.meaning: (band.low, band.high) for band in FALSE_COLOUR_BANDS}
     assert levels == {
         "black clipping": (0, 0.025), "just above black": (0.025, 0.04), "18 % mid grey": (0.38, 0.42),
         "a stop over grey": (0.52, 0.56), "just below white": (0.97, 0.99), "white clipping": (0.99, 1.0),
@@ -65,4 +65,4 @@ def test_the_key_stands_below_the_picture(width):
     picture = np.full((30, width, 3), 7, np.uint8)
     found = add_key(picture)
     assert found.shape[1] == width and np.array_equal(found[:30], picture)
-    assert all((found[30:] == band.colour).all(axis=-1).any() for band in BANDS[: max(width // 210, 1)])
+    assert all((found[30:] == band.colour).all(axis=-1).any() for band in FALSE_COLOUR_BANDS[: max(width // 210, 1)])

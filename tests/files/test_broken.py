@@ -15,7 +15,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.errors import MissingFrameError, ReadError, SequenceError
-from postfx.io.exr import PIXEL_BYTES, Header
+from postfx.io.exr import SAMPLE_BYTES, Header
 from postfx.io.exr.container import (
     LINES,
     MAX_SIDE,
@@ -202,7 +202,7 @@ def test_pixels_are_taken_up_to_what_a_file_can_hold(source: Path, compression: 
     """Its bytes times the most that the compression leaves out, and a megabyte."""
     with ExrContainer(source) as file:
         header = file.headers[0]
-    pixel = sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
+    pixel = sum(SAMPLE_BYTES[channel.kind] for channel in header.channels)
     size = next(size for size in range(4096, 8192) if (most * size + (1 << 20)) % pixel == 0)
     header.set("compression", "compression", bytes([compression]))
     header.set("dataWindow", "box2i", window(0, 0, (most * size + (1 << 20)) // pixel - 1, 0))

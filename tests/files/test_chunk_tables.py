@@ -10,7 +10,7 @@ import OpenImageIO as oiio
 import pytest
 
 from postfx.frame import Role
-from postfx.io.exr import MAGIC, TILES
+from postfx.io.exr import EXR_MAGIC, TILED_IMAGE
 from postfx.io.exr.container import ExrContainer
 from postfx.io.sequence import read_sequence
 from postfx.io.writer import is_complete, write_frame
@@ -52,7 +52,7 @@ def write_contradiction(folder: Path) -> Path:
     with ExrContainer(source) as file:
         (header,), version, chunks = file.headers, file.version, [stored for _, stored in file.copy_chunks(0)]
     header.set_text("type", "scanlineimage")
-    head = struct.pack("<iI", MAGIC, version) + header.pack()
+    head = struct.pack("<iI", EXR_MAGIC, version) + header.pack()
     sizes = [len(chunk) for chunk in chunks]
     table = len(head) + 8 * len(chunks) + np.cumsum([0, *sizes[:-1]])
     path.write_bytes(head + table.astype("<u8").tobytes() + b"".join(chunks))
@@ -62,7 +62,7 @@ def write_contradiction(folder: Path) -> Path:
 def test_flags_count_more_than_the_type(tmp_path: Path) -> None:
     path = write_contradiction(tmp_path)
     with ExrContainer(path) as file:
-        assert file.headers[0].part_type == TILES
+        assert file.headers[0].part_type == TILED_IMAGE
     (frame,), (wanted,) = read_sequence(path), read_sequence(tmp_path / "tiled.exr")
     np.testing.assert_array_equal(frame[Role.COLOUR], wanted[Role.COLOUR])
     out = write_frame(tmp_path / "out.exr", frame, keep=True)

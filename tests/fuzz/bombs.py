@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from postfx.cli.config import VARIABLE, read_defaults
+from postfx.cli.config import DEFAULTS_VARIABLE, read_defaults
 from postfx.cli.run_options import RUN
 from postfx.colour.ocio import file_transform
 from postfx.io.exr import Header
@@ -116,7 +116,7 @@ def _settings(content: bytes) -> Callable[[], None]:
     def read_it() -> None:
         path = targets.FOLDER / "postfx.toml"
         path.write_bytes(content)
-        os.environ[VARIABLE] = str(path)
+        os.environ[DEFAULTS_VARIABLE] = str(path)
         read_defaults(RUN)
     return read_it
 

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from postfx.cli.config import VARIABLE, read_defaults
+from postfx.cli.config import DEFAULTS_VARIABLE, read_defaults
 from postfx.cli.run_options import RUN
 from postfx.colour.ocio import file_transform
 from postfx.errors import PostfxError
@@ -95,7 +95,7 @@ def settings(content: bytes) -> None:
     """A studio's defaults."""
     path = targets.FOLDER / "postfx.toml"
     path.write_bytes(content)
-    os.environ[VARIABLE] = str(path)
+    os.environ[DEFAULTS_VARIABLE] = str(path)
     read_defaults(RUN)
 
 

@@ -25,7 +25,7 @@ from postfx.masks import parse_leave
 from postfx.passes.tonemap import check_constants, find_model, shaper
 from postfx.runs.folder import About, load_checkpoint, read_about, save_checkpoint
 from postfx.runs.locks import Process, is_alive
-from postfx.runs.manifest import NAME, Manifest, Output, verify
+from postfx.runs.manifest import MANIFEST_NAME, Manifest, Output, verify
 from postfx.runtime import Device, Library
 from postfx.system import parse_size
 from tests.files.exr_files import write_mixed, write_studio
@@ -125,7 +125,7 @@ def records(content: bytes) -> None:
         assert Manifest.from_json(manifest.to_json()) == manifest
     except ManifestError:
         pass
-    for path in (FOLDER / "run.claim", FOLDER / "run.checkpoint", FOLDER / NAME):
+    for path in (FOLDER / "run.claim", FOLDER / "run.checkpoint", FOLDER / MANIFEST_NAME):
         path.write_bytes(content)
     is_alive(FOLDER, "run")
     for read in (read_about, load_checkpoint):

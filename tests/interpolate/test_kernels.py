@@ -252,4 +252,4 @@ def test_light_of_sparks_that_are_hidden_goes_to_those_that_are_shown():
     np.testing.assert_array_equal(picture[kept < 1], kept[kept < 1])
     few = dark_with((20, 30, 20))
     timing.keep_sparks(sparks, 0.25, own, marks, few)
-    assert few.max() == pytest.approx(0.1 + timing.SCALES[1] * (20 / 3 - 0.1), rel=1e-4), "within bounds"
+    assert few.max() == pytest.approx(0.1 + timing.SPARK_SCALES[1] * (20 / 3 - 0.1), rel=1e-4), "within bounds"

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postfx.io.quantisation import SIDE, Dither, blue_noise, quantise
+from postfx.io.quantisation import NOISE_SIDE_PX, Dither, blue_noise, quantise
 
 DITHERED = (Dither.MOVING, Dither.STATIC)
 
 
-def flat(value: float, side: int = 2 * SIDE) -> np.ndarray:
+def flat(value: float, side: int = 2 * NOISE_SIDE_PX) -> np.ndarray:
     return np.full((side, side, 3), value / 255, np.float32)
 
 
@@ -21,8 +21,8 @@ def ramp(low: float, high: float, width: int = 4096) -> np.ndarray:
 
 def test_each_threshold_is_there_once_and_low_frequencies_are_not() -> None:
     noise = blue_noise()
-    assert sorted((noise * SIDE**2 - 0.5).round().astype(int).ravel()) == list(range(SIDE**2))
-    spectrum, radius = np.abs(np.fft.fft2(noise - 0.5)), np.hypot(*np.meshgrid(*[np.fft.fftfreq(SIDE)] * 2))
+    assert sorted((noise * NOISE_SIDE_PX**2 - 0.5).round().astype(int).ravel()) == list(range(NOISE_SIDE_PX**2))
+    spectrum, radius = np.abs(np.fft.fft2(noise - 0.5)), np.hypot(*np.meshgrid(*[np.fft.fftfreq(NOISE_SIDE_PX)] * 2))
     assert spectrum[(radius > 0) & (radius < 0.15)].mean() < 0.1 * spectrum[radius > 0.35].mean()
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from postfx.colour.displays import KINDS, parse_display
+from postfx.colour.displays import DISPLAY_KINDS, parse_display
 from postfx.io.exr.picture import light_of, to_halves
 
 LEAST_NORMAL = 2.0**-14
@@ -37,7 +37,7 @@ def test_any_float_becomes_what_numpy_makes_of_it() -> None:
     assert to_halves(np.zeros((0, 3))).shape == (0, 3)
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", DISPLAY_KINDS)
 def test_light_of_a_display_is_that_of_its_curve(name: str) -> None:
     display = parse_display(name)
     codes = np.float32(np.random.default_rng(1).random((500, 400, 3)) ** 2)

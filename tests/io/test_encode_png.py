@@ -9,7 +9,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from postfx.colour.displays import KINDS
+from postfx.colour.displays import DISPLAY_KINDS
 from postfx.frame import Frame, Role
 from postfx.io import encoder, writer
 from postfx.io.writer import write_frame
@@ -40,7 +40,7 @@ def chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
         at = end + 4
 
 
-@pytest.mark.parametrize("encoding", KINDS)
+@pytest.mark.parametrize("encoding", DISPLAY_KINDS)
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_all_that_is_said_and_all_pixels(
     encoding: str, size: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from postfx.colour import REC2020
-from postfx.colour.displays import KINDS, parse_display
+from postfx.colour.displays import DISPLAY_KINDS, parse_display
 from postfx.errors import WriteError
 from postfx.frame import Frame, Role
 from postfx.io.icc import make_profile
@@ -40,7 +40,7 @@ def chunks(path: Path) -> dict[str, bytes]:
     return found
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", DISPLAY_KINDS)
 def test_png_chunks(name: str, tmp_path: Path) -> None:
     found = chunks(write_frame(tmp_path / "a.png", frame(name)))
     assert found["IHDR"][8] == (16 if name in ("pq", "hlg") else 8)
@@ -51,7 +51,7 @@ def test_png_chunks(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg"])
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", DISPLAY_KINDS)
 def test_icc_profiles_are_in_the_files(name: str, suffix: str, tmp_path: Path) -> None:
     if name in ("pq", "hlg") and suffix == ".jpg":
         with pytest.raises(WriteError, match="JPEG has too few bits for Rec.2100"):

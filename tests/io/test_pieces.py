@@ -74,7 +74,7 @@ def test_tall_pictures_are_read_as_at_once(
     assert output.open(str(tmp_path / name), spec) and output.write_image(values) and output.close()
     in_pieces = Sequence(tmp_path / name).read(1)[Role.COLOUR]
     monkeypatch.setattr(planes_of_files, "FEWEST_ROWS", 1024)
-    monkeypatch.setattr(planes_of_files, "MOST_ROWS", 1024)
+    monkeypatch.setattr(planes_of_files, "MOST_CHUNK_ROWS", 1024)
     np.testing.assert_array_equal(in_pieces, Sequence(tmp_path / name).read(1)[Role.COLOUR])
     assert in_pieces.shape == (600, 24, 3) and in_pieces.std() > 0.2
 

@@ -17,7 +17,7 @@ import pytest
 from postfx.frame import DEPTH_MISS, Role
 from postfx.io import layout as layout_module
 from postfx.io.frame_reader import FrameFiles
-from postfx.io.profile import SOURCES, load_profile, profile_names
+from postfx.io.profile import NAME_SOURCES, load_profile, profile_names
 from postfx.io.read_options import ReadOptions
 from postfx.io.sequence import read_sequence
 
@@ -466,9 +466,9 @@ def test_every_renderer_says_where_its_names_are_from():
     for name in profile_names():
         text = (Path(layout_module.__file__).parent / "profiles" / f"{name}.toml").read_text("utf-8")
         profile = load_profile(name)
-        assert (profile.source in SOURCES) == (name != "generic"), name
+        assert (profile.source in NAME_SOURCES) == (name != "generic"), name
         assert profile.source == "file" or name == "generic" or "# http" in text or ", http" in text, name
-        assert {rule.source for rule in profile.planes} <= {"", *SOURCES}
+        assert {rule.source for rule in profile.planes} <= {"", *NAME_SOURCES}
 
 
 def test_the_skys_light_in_the_albedo_is_cut_off(write_exr):

@@ -31,7 +31,7 @@ from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECOD
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE, means_size
 from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, LEVEL, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.upsample import BLEND_PICTURE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
-from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE, positions
+from postfx.kernels.image import ENLARGE_OVERLAY, OVER, OVER_ALPHA, RESAMPLE, positions
 from postfx.kernels.partner import ENLARGE_MOTION, MIX_PARTNER
 from postfx.passes.denoise.tiling import Sizes, Window
 from postfx.runtime import ArgumentTable, Device
@@ -44,7 +44,7 @@ KERNELS = (
     FILTER, REMODULATE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED, BLEND_PICTURE,
     RESIZE, REFLECTIONS, JUDGE, DETAIL,
     RESTORE, STRENGTH, RESAMPLE, REACTIVE,
-    SPREAD_MASK, KEEP, ENLARGE, OVER, OVER_ALPHA, ASSEMBLE,
+    SPREAD_MASK, KEEP, ENLARGE_OVERLAY, OVER, OVER_ALPHA, ASSEMBLE,
     PACK, OPEN, OPEN_FINE, OPEN_PHASED, OPEN_LOGITS, OPEN_ERROR,
     OPEN_PRODUCTS, OPEN_FINE_PRODUCTS, STORE,
     STORE_RINGED,

@@ -81,9 +81,9 @@ def test_exposure_that_is_held(case: tonemap_cases.Hold) -> None:
 
 
 def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
-    inputs = tonemap_cases.arguments(tonemap_cases.SMOOTH, 1, 1)
+    inputs = tonemap_cases.arguments(tonemap_cases.SMOOTH_GRID, 1, 1)
     inputs["previous"][:], inputs["keep"][:] = np.nan, 0.0
-    found = by_cuda(tonemap_cases.SMOOTH, inputs, {"result": tonemap_cases.GRID})
+    found = by_cuda(tonemap_cases.SMOOTH_GRID, inputs, {"result": tonemap_cases.GRID_SHAPE})
     np.testing.assert_array_equal(found["result"], inputs["current"])
 
 

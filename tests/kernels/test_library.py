@@ -32,7 +32,7 @@ from postfx.kernels.denoise.parts import (
 )
 from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, MIX_LEVELS, POOL, REMODULATE
 from postfx.kernels.denoise.upsample import UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
-from postfx.kernels.occlusion import LOOK, SURFACE
+from postfx.kernels.occlusion import FIND_SURFACE, LOOK
 from postfx.runtime import ArgumentTable, Device
 from tests.conftest import REPOSITORY
 from tests.kernels import denoise_cases, foreign, host_cuda
@@ -109,7 +109,7 @@ def other_rows() -> Iterator[tuple[str, list[np.ndarray], list[np.ndarray]]]:
     camera, settings = np.float32([*np.eye(3).ravel(), 0.4, 0.5, 0.3]), np.float32([0.6, 0.3])
     surface, visible = np.zeros((h, w, 4), np.float32), np.zeros((h, w), np.float32)
     yield "occlusion_surface", [normal, depth, camera], [surface]
-    SURFACE.rows(0, h, normal, depth, camera, surface)
+    FIND_SURFACE.rows(0, h, normal, depth, camera, surface)
     yield "occlusion_horizons", [surface, camera, settings], [visible]
     noisy = random.random((h, w), np.float32)
     yield "occlusion_smooth", [surface, noisy], [visible]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postfx.kernels.occlusion import FAR, HORIZONS, LOOK, LOOKS, SMOOTH, SURFACE
+from postfx.kernels.occlusion import FAR, FIND_LOOKS, FIND_SURFACE, HORIZONS, LOOK, SMOOTH_OCCLUSION
 
 HEIGHT, WIDTH, TANGENT = 60, 80, 0.5
 
@@ -14,9 +14,9 @@ def visible_of(normal: np.ndarray, depth: np.ndarray, radius: float) -> tuple[np
     camera = np.float32([*np.eye(3).ravel(), radius, TANGENT, TANGENT * HEIGHT / WIDTH])
     surface = np.empty((HEIGHT, WIDTH, 4), np.float32)
     raw, smooth = (np.empty((HEIGHT, WIDTH), np.float32) for _ in range(2))
-    SURFACE.rows(0, HEIGHT, normal.astype(np.float32), depth[..., None].astype(np.float32), camera, surface)
+    FIND_SURFACE.rows(0, HEIGHT, normal.astype(np.float32), depth[..., None].astype(np.float32), camera, surface)
     HORIZONS.rows(0, HEIGHT, surface, camera, np.float32([0.9, 0]), raw)
-    SMOOTH.rows(0, HEIGHT, surface, raw, smooth)
+    SMOOTH_OCCLUSION.rows(0, HEIGHT, surface, raw, smooth)
     return surface, raw, smooth
 
 
@@ -53,6 +53,6 @@ def test_what_the_network_reads_is_bounded() -> None:
     surface, raw, smooth = visible_of(normal, 3 / (1 + np.abs(x)), 0.4)
     camera = np.float32([*np.eye(3).ravel(), 0.4, TANGENT, TANGENT * HEIGHT / WIDTH])
     points = np.empty((2 * WIDTH, LOOK), np.float32)
-    LOOKS.rows(0, 2 * WIDTH, surface, camera, raw, smooth, np.float32([30]), points)
+    FIND_LOOKS.rows(0, 2 * WIDTH, surface, camera, raw, smooth, np.float32([30]), points)
     assert np.abs(points).max() <= 2 and points[:, :-5:2].max() > 0.5
     np.testing.assert_array_equal(points[:, -1].reshape(2, WIDTH), smooth[30:32])

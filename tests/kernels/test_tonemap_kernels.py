@@ -11,7 +11,7 @@ from postfx.compiled.library import Rows
 from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, CONVERT_PRIMARIES, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD
-from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
+from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, LOWRES, SLICE_APPLY, SMOOTH_GRID
 from postfx.system import models_dir
 from tests.kernels.tonemap_cases import HOLDS, PACES, SHAPER, Hold, Pace, arguments, sizes
 
@@ -27,7 +27,7 @@ DEFINITIONS = {
     LOWRES: tonemap_kernels.Lowres,
     LIGHT: tonemap_kernels.Light,
     FOLLOW: tonemap_kernels.Follow,
-    SMOOTH: tonemap_kernels.Smooth,
+    SMOOTH_GRID: tonemap_kernels.Smooth,
     EXPOSE: tonemap_kernels.Expose,
     ENCODE_DISPLAY: tonemap_kernels.EncodeDisplay,
     APPLY_CUBE: tonemap_kernels.ApplyCube,
@@ -151,5 +151,5 @@ def test_exposure_that_is_held(case: Hold) -> None:
 def test_smooth_ignores_the_past_when_nothing_is_kept() -> None:
     current = np.random.default_rng(0).normal(size=(1, 16, 16, 8, 12)).astype(np.float32)
     result = np.empty_like(current)
-    SMOOTH.rows(0, 16, np.full_like(current, np.nan), current, np.zeros((1, 4), np.float32), result)
+    SMOOTH_GRID.rows(0, 16, np.full_like(current, np.nan), current, np.zeros((1, 4), np.float32), result)
     np.testing.assert_array_equal(result, current)

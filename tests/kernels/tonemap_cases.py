@@ -12,10 +12,10 @@ from postfx.colour.displays import parse_display
 from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, APPLY_CUBE_FOURS, CONVERT_PRIMARIES, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD, turns
-from postfx.kernels.tonemap import EXPOSE, FOLLOW, GRID, KNOTS, LIGHT, LOWRES, SLICE_APPLY, SMOOTH
+from postfx.kernels.tonemap import EXPOSE, FOLLOW, GRID_SHAPE, KNOTS, LIGHT, LOWRES, SLICE_APPLY, SMOOTH_GRID
 from postfx.passes.display import decoding, encoding, parameters
 
-KERNELS = (SLICE_APPLY, LOWRES, LIGHT, FOLLOW, SMOOTH, EXPOSE, ENCODE_DISPLAY, APPLY_CUBE, CHECKERBOARD)
+KERNELS = (SLICE_APPLY, LOWRES, LIGHT, FOLLOW, SMOOTH_GRID, EXPOSE, ENCODE_DISPLAY, APPLY_CUBE, CHECKERBOARD)
 ON_GPU = (APPLY_CUBE_FOURS,)
 HLG = parse_display("hlg")
 SIZES = ((1, 1), (5, 7), (67, 129), (300, 260))
@@ -116,9 +116,9 @@ def arguments(kernel: Kernel, height: int, width: int) -> dict[str, np.ndarray]:
         "matrix": matrix_between(REC709, REC2020).ravel(),
         "cube": bent_cube(17),
         "guide": guide + random.normal(0, 0.05, guide.size),
-        "grid": random.normal(0, 0.4, GRID),
-        "previous": random.normal(0, 1, GRID),
-        "current": random.normal(0, 1, GRID),
+        "grid": random.normal(0, 0.4, GRID_SHAPE),
+        "previous": random.normal(0, 1, GRID_SHAPE),
+        "current": random.normal(0, 1, GRID_SHAPE),
         "lowres": random.random(LOWRES.shapes["lowres"]),
         "light": random.random(LIGHT.shapes["light"]),
         "before": np.array([[0.9, 7.6, 7.9, 0.1]]),

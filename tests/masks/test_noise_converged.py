@@ -124,7 +124,7 @@ def test_bands_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     planes, variance = rendered(0.012)
     planes, calls = told(Role.SAMPLE_VARIANCE, planes, variance, 64), []
     wanted = strength_of_converged(planes, ONE_PERCENT, 64)
-    monkeypatch.setattr(sampling, "BAND", 16)
+    monkeypatch.setattr(sampling, "BAND_ROWS", 16)
     found = list(converged_in_bands(planes, ONE_PERCENT, 64, lambda: calls.append(1)))
     np.testing.assert_array_equal(np.concatenate([strength for _, strength in found]), wanted)
     assert len(found) == len(calls) == 3

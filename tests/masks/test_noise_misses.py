@@ -135,7 +135,7 @@ def test_smoke_with_alpha_and_without_depth_is_denoised() -> None:
 def test_bands_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     planes, calls = noisy_sky(0.008), []
     wanted = strength_of_misses(planes)
-    monkeypatch.setattr(sampling, "BAND", 16)
+    monkeypatch.setattr(sampling, "BAND_ROWS", 16)
     found = list(misses_in_bands(planes, lambda: calls.append(1)))
     np.testing.assert_array_equal(np.concatenate([strength for _, strength, _ in found]), wanted)
     assert [rows.start for rows, _, _ in found] == list(range(0, 150, 16)) and len(calls) == 20

@@ -43,7 +43,8 @@ class TestEveryPass(PassContract):
             network.save_onnx(tmp_path / "sky.onnx", network.initial(1))
             return lambda **options: scene.Irradiance(**{"model": str(tmp_path / "sky.onnx"), **options})
         if request.param == "scene_shading":  # the suite's frames have no camera
-            monkeypatch.setattr(scene, "camera_of", lambda frame: np.linspace(-1, 1, scene.FACTS, dtype=np.float32))
+            monkeypatch.setattr(scene, "camera_of",
+                                lambda frame: np.linspace(-1, 1, scene.CAMERA_NUMBERS, dtype=np.float32))
             return lambda **options: scene.SceneShading(**{"model": str(ROOM / "temporal.onnx"), **options})
         if request.param in ("oidn", "partner"):
             pytest.importorskip("pyoidn", reason="Open Image Denoise is not installed")

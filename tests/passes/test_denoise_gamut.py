@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.colour import WIDER
+from postfx.colour import TO_WIDER_PRIMARIES
 from postfx.doctor.first_frames import FirstFrames
 from postfx.frame import GUIDE_ROLES, Frame, Role
 from postfx.kernels.statistics import OUTSIDE, light_outside
@@ -61,7 +61,7 @@ def test_what_lies_outside() -> None:
     assert light_outside(np.zeros_like(grey)) == light_outside(grey[:0]) == 0
     beyond = grey.copy()
     beyond[:, :7] = 1.0, -0.5, -0.1
-    gained = 0.6 + np.minimum(WIDER @ beyond[0, 0], 0).sum()
+    gained = 0.6 + np.minimum(TO_WIDER_PRIMARIES @ beyond[0, 0], 0).sum()
     assert light_outside(beyond) == pytest.approx(gained * 7 / (1.6 * 7 + 3 * 63))
     beyond[5, 50], beyond[6, 50] = np.nan, np.inf
     assert light_outside(beyond) == pytest.approx(gained * 7 / (1.6 * 7 + 3 * 63), rel=0.01)

@@ -7,7 +7,7 @@ import pytest
 
 from postfx import BothWays, DenoiseUpscale, Frame, FrameSpec, Pipeline, Role, ToneMap
 from postfx.errors import ExposureError
-from postfx.passes.exposure_tool import CELLS, VARIABLE, ExposureTool, board_area, cells
+from postfx.passes.exposure_tool import CELLS, TOOL_VARIABLE, ExposureTool, board_area, cells
 from postfx.runtime import Device
 
 SIZE = (54, 96)
@@ -75,14 +75,14 @@ def test_a_display_picture_is_left_alone() -> None:
 
 @pytest.mark.parametrize("value", ("0", "", None, "false", "OFF", "no"))
 def test_nothing_is_drawn_unless_the_environment_asks(value: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(TOOL_VARIABLE, raising=False)
     if value is not None:
-        monkeypatch.setenv(VARIABLE, value)
+        monkeypatch.setenv(TOOL_VARIABLE, value)
     assert names([DenoiseUpscale(), ToneMap()]) == ["denoise_upscale", "tonemap"]
 
 
 def test_the_environment_draws_it_where_the_upscaler_writes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(VARIABLE, "1")
+    monkeypatch.setenv(TOOL_VARIABLE, "1")
     assert names([DenoiseUpscale(), BothWays(), ToneMap()]) == ["denoise_upscale", "exposure_tool", "tonemap"]
     assert names([ToneMap()]) == ["exposure_tool", "tonemap"]
     assert names([DenoiseUpscale()]) == ["denoise_upscale", "exposure_tool"]
@@ -90,13 +90,13 @@ def test_the_environment_draws_it_where_the_upscaler_writes(monkeypatch: pytest.
 
 
 def test_the_plan_tells_that_a_checkerboard_covers_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(VARIABLE, "1")
+    monkeypatch.setenv(TOOL_VARIABLE, "1")
     plan = Pipeline([ToneMap()], Device("cpu")).explain(frame().spec)
-    assert any(VARIABLE in remark for remark in plan.remarks)
+    assert any(TOOL_VARIABLE in remark for remark in plan.remarks)
 
 
 def test_under_a_whole_board_nothing_is_denoised(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
-    monkeypatch.setenv(VARIABLE, "yes")
+    monkeypatch.setenv(TOOL_VARIABLE, "yes")
     covered = Pipeline([DenoiseUpscale(scale=1.5, model="l", budget=9)], device, 1.0)
     shown = covered(frame())[Role.COLOUR]
     assert shown.shape == (81, 144, 3) and len(np.unique(shown)) == 2
@@ -104,7 +104,7 @@ def test_under_a_whole_board_nothing_is_denoised(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_part_leaves_the_rest_of_the_picture(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
-    monkeypatch.setenv(VARIABLE, "part")
+    monkeypatch.setenv(TOOL_VARIABLE, "part")
     given = frame()
     given.planes[Role.ALPHA] = np.zeros((*SIZE, 1), np.float32)
     made = Pipeline([BothWays()], device, 2.0)
@@ -121,6 +121,6 @@ def test_a_part_leaves_the_rest_of_the_picture(monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_an_unknown_form_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(VARIABLE, "corner")
+    monkeypatch.setenv(TOOL_VARIABLE, "corner")
     with pytest.raises(ExposureError, match="use 1, part"):
         names([ToneMap()])

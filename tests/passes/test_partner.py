@@ -14,7 +14,7 @@ from postfx import DenoiseUpscale, Frame, MixPartner, Oidn, Partner, Pipeline, R
 from postfx.errors import DeviceError, FrameError, OptionError, PassOptionError, RegistryError
 from postfx.frame import FrameSpec
 from postfx.passes import Pass, Reflection, registry
-from postfx.passes.partner import BACKWARD_FRAMES, REACH, partner_weight
+from postfx.passes.partner import BACKWARD_FRAMES, MIXTURE_REACH_SHARE, partner_weight
 from postfx.plan import make_plan
 from postfx.runtime import Device
 
@@ -76,7 +76,7 @@ class Brighter(Pass):
 
 @pytest.fixture
 def plug_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    points = (EntryPoint("brighter", f"{__name__}:Brighter", registry.GROUP),)
+    points = (EntryPoint("brighter", f"{__name__}:Brighter", registry.ENTRY_POINT_GROUP),)
     monkeypatch.setattr(registry, "_installed", lambda: {"brighter": points})
 
 
@@ -258,7 +258,7 @@ def test_the_last_mixture_stays_as_long_as_it_lies_near_the_mean(device: Device)
     *_, first, second, third = mix(frames, device)
     np.testing.assert_allclose(second, first, rtol=0.03)
     weight = partner_weight(SETTLED + 2)
-    np.testing.assert_allclose(third, between(20, 30, (1 - REACH) * weight), rtol=1e-5)
+    np.testing.assert_allclose(third, between(20, 30, (1 - MIXTURE_REACH_SHARE) * weight), rtol=1e-5)
 
 
 def test_the_last_mixture_moves_along_the_motion(device: Device) -> None:

@@ -34,7 +34,7 @@ def test_create_passes_options_on():
 
 
 def points(target: str, name: str = "foreign", count: int = 1) -> dict[str, tuple[EntryPoint, ...]]:
-    return {name: (EntryPoint(name, target, registry.GROUP),) * count}
+    return {name: (EntryPoint(name, target, registry.ENTRY_POINT_GROUP),) * count}
 
 
 class Foreign(Pass):

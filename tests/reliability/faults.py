@@ -23,7 +23,7 @@ from itertools import count, product
 from pathlib import Path
 
 from postfx.errors import PostfxError
-from postfx.runs.manifest import NAME, verify
+from postfx.runs.manifest import MANIFEST_NAME, verify
 from postfx.runtime import Device, Library
 from tests.fuzz.bombs import BOMBS
 from tests.fuzz.mutate import KINDS
@@ -80,7 +80,7 @@ class Shot:
         assert all(self.whole[name] == content for name, content in self.files_of(folder).items()), "half a file"
         self.run(folder, "--skip-existing")
         assert self.files_of(folder) == self.whole, "other bytes"
-        assert sorted(path.name for path in folder.iterdir()) == [*self.whole, NAME], "left-overs"
+        assert sorted(path.name for path in folder.iterdir()) == [*self.whole, MANIFEST_NAME], "left-overs"
         assert verify(folder).is_well, "verify"
 
 
@@ -127,7 +127,7 @@ def rewritten_inputs(shot: Shot) -> Iterator[Callable[[], None]]:
             fault = {"at": READ, "do": "damage", "how": how, "calls": [2], "file": str(source / f"in.{number:04d}.exr")}
             words = shot.words(folder, shot=str(source / "in.####.exr"))
             in_words(*shot.start(words, fault).finished(HANGS_S))
-            found = verify(folder) if (folder / NAME).exists() else None
+            found = verify(folder) if (folder / MANIFEST_NAME).exists() else None
             assert found is None or not (found.altered or found.missing or found.unknown), "verify"
             if how != "of one frame later":
                 others = {name: content for name, content in shot.files_of(folder).items()

@@ -12,7 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from postfx.runtime import Library, ModelError
 from postfx.runtime.model_file import MOST_PARTS, parse_model
-from postfx.runtime.models import MOST_BYTES, OPERATORS, check_model
+from postfx.runtime.models import MOST_MODEL_BYTES, OPERATORS, check_model
 from postfx.system import models_dir
 from tests.reliability.model_files import model_of, outside
 
@@ -43,7 +43,7 @@ def test_model_of_too_many_parts(refused, monkeypatch):
 
 def test_oversize_model(tmp_path):
     with (tmp_path / "bad.onnx").open("wb") as file:
-        file.truncate(MOST_BYTES + 1)  # takes no room on the disk
+        file.truncate(MOST_MODEL_BYTES + 1)  # takes no room on the disk
     with pytest.raises(ModelError, match=r"bad.onnx' is refused: it has 1024 MB, more than 1024 MB"):
         Library(tmp_path).load("bad")
 

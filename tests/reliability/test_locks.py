@@ -15,8 +15,8 @@ import pytest
 from postfx.errors import RunError
 from postfx.runs import locks as claim_module
 from postfx.runs.folder import RunFolder
-from postfx.runs.locks import EMPTY, OLD, PATIENCE, Claim, FolderLock, Process, age_of, is_alive
-from postfx.runs.manifest import NAME, Output, load_manifest, update_manifest
+from postfx.runs.locks import EMPTY, LOCK_TIMEOUT_SECONDS, OLD, Claim, FolderLock, Process, age_of, is_alive
+from postfx.runs.manifest import MANIFEST_NAME, Output, load_manifest, update_manifest
 
 SLOW = {"at": "postfx.cli.job.write_frame", "do": "sleep", "seconds": 0.5}
 
@@ -125,7 +125,7 @@ def test_lock_that_names_nobody_is_taken_over_before_patience_ends(lock, content
     os.utime(lock, (a_while_ago, a_while_ago))
     with FolderLock(lock, patience=1):
         assert Process.of(json.loads(lock.read_text())) == Process.me()
-    assert EMPTY < PATIENCE / 2
+    assert EMPTY < LOCK_TIMEOUT_SECONDS / 2
 
 
 def test_lock_is_never_seen_empty(lock, monkeypatch):
@@ -221,7 +221,7 @@ def test_no_entry_of_the_manifest_is_lost(tmp_path):
     for worker in workers:
         worker.join(300)
     assert len(load_manifest(tmp_path).outputs) == 60
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".postfx", NAME]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".postfx", MANIFEST_NAME]
 
 
 def test_claims_of_different_files(tmp_path):
@@ -255,11 +255,11 @@ def test_a_claim_that_a_killed_run_had_begun_leaves_nothing(tmp_path):
 
 def test_partial_manifest_is_removed_under_the_lock_only(tmp_path, monkeypatch):
     """Another run may be writing it: it holds the lock meanwhile."""
-    (tmp_path / f".{NAME}.host-1-0.part").touch()
+    (tmp_path / f".{MANIFEST_NAME}.host-1-0.part").touch()
     unlink, locked = Path.unlink, []
 
     def watched(path, missing_ok=False):
-        if path.name.startswith(f".{NAME}."):
+        if path.name.startswith(f".{MANIFEST_NAME}."):
             locked.append((tmp_path / ".postfx/lock").exists())
         unlink(path, missing_ok)
 
@@ -275,7 +275,7 @@ def test_claim_of_another_machine_counts_while_it_beats(tmp_path):
     path.write_text(json.dumps({"process": ELSEWHERE.as_dict(), "files": ["a"]}))
     with pytest.raises(RunError, match="a: is being written by process .* on another-machine: wait for it, or choose"):
         Claim(folder, "mine", ["a"])
-    os.utime(path, (time.time() - claim_module.SILENT - 10,) * 2)
+    os.utime(path, (time.time() - claim_module.SILENT_SECONDS - 10,) * 2)
     Claim(folder, "mine", ["a"]).release()
     assert not path.exists()
 

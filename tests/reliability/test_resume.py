@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from postfx.runs.manifest import NAME
+from postfx.runs.manifest import MANIFEST_NAME
 from tests.reliability.conftest import FRAMES, Runs, write_frame
 
 RESUME = ("--skip-existing",)
@@ -37,7 +37,7 @@ def test_killed_and_resumed(runs, unbroken, place):
     assert code == 0, said
     assert runs.files() == unbroken
     assert runs.verify()[0] == 0
-    assert sorted(path.name for path in runs.folder.iterdir()) == [*unbroken, NAME]
+    assert sorted(path.name for path in runs.folder.iterdir()) == [*unbroken, MANIFEST_NAME]
 
 
 @pytest.mark.parametrize("seconds", ["0", "none"])
@@ -187,7 +187,7 @@ def test_old_files_of_a_run_that_was_killed_while_overwriting(runs, unbroken):
 
 def test_without_a_manifest_files_are_decoded(runs, unbroken):
     assert runs()[0] == 0
-    (runs.folder / NAME).unlink()
+    (runs.folder / MANIFEST_NAME).unlink()
     (runs.folder / "out.0006.exr").write_bytes(unbroken["out.0006.exr"][:700])
     assert runs(*RESUME)[0] == 0
     assert runs.files() == unbroken
@@ -195,11 +195,11 @@ def test_without_a_manifest_files_are_decoded(runs, unbroken):
 
 def test_damaged_manifest_is_put_aside(runs, unbroken):
     assert runs()[0] == 0
-    (runs.folder / NAME).write_text((runs.folder / NAME).read_text()[:500])
+    (runs.folder / MANIFEST_NAME).write_text((runs.folder / MANIFEST_NAME).read_text()[:500])
     (runs.folder / "out.0006.exr").unlink()
     code, said = runs(*RESUME)
-    assert code == 0 and f"renamed to {NAME}.damaged, a new one is started" in said
-    assert runs.files() == unbroken and (runs.folder / f"{NAME}.damaged").exists()
+    assert code == 0 and f"renamed to {MANIFEST_NAME}.damaged, a new one is started" in said
+    assert runs.files() == unbroken and (runs.folder / f"{MANIFEST_NAME}.damaged").exists()
 
 
 def test_leftovers_of_a_killed_writer_are_removed(runs):
@@ -238,7 +238,7 @@ def test_resumed_with_more_frames_than_before(shot, tmp_path, capsys, unbroken):
 
 def test_manifest_tells_how_frames_were_made(runs):
     assert runs()[0] == 0
-    manifest = json.loads((runs.folder / NAME).read_text())
+    manifest = json.loads((runs.folder / MANIFEST_NAME).read_text())
     (run,) = manifest["runs"].values()
     assert run["settings"]["exposure"] == "auto" and run["passes"]["tonemap"]["look"] == "aces2"
     assert {"postfx", "python", "numpy", "OpenImageIO", "onnxruntime"} <= set(run["versions"])

@@ -11,7 +11,7 @@ import pytest
 from postfx import __version__
 from postfx.cli.main import main
 from postfx.errors import ManifestError
-from postfx.runs.manifest import NAME, VERSION, Manifest
+from postfx.runs.manifest import MANIFEST_NAME, MANIFEST_VERSION, Manifest
 
 READ = "postfx.io.sequence.Sequence.read"
 
@@ -57,8 +57,8 @@ def test_verify_tells_a_run_that_runs(runs):
 
 def test_names_in_a_manifest_do_not_steer_the_terminal(tmp_path, capsys):
     outputs = {"a\n\x1b[31m.exr": {"run": "r", "frame": 1, "sha256": "x"}, "\udcff.exr": {"run": "r", "frame": 2}}
-    (tmp_path / NAME).write_text(json.dumps({"format": "postfx manifest", "version": VERSION,
-                                             "runs": {"r": {"status": "x\ry"}}, "outputs": outputs}))
+    (tmp_path / MANIFEST_NAME).write_text(json.dumps({"format": "postfx manifest", "version": MANIFEST_VERSION,
+                                                      "runs": {"r": {"status": "x\ry"}}, "outputs": outputs}))
     assert main(["verify", str(tmp_path)]) == 1
     said = capsys.readouterr().out
     assert "missing    a??[31m.exr: was written and is gone" in said and "unfinished ?.exr" in said
@@ -68,28 +68,28 @@ def test_names_in_a_manifest_do_not_steer_the_terminal(tmp_path, capsys):
 @pytest.mark.parametrize("verb", ["run", "verify"])
 def test_manifest_that_cannot_be_read_for_now(runs, capsys, monkeypatch, verb):
     assert runs()[0] == 0
-    before = (runs.folder / NAME).read_bytes()
+    before = (runs.folder / MANIFEST_NAME).read_bytes()
 
     def fail(*_):
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr("postfx.runs.manifest.read_text", fail)
     assert main(runs.arguments("--skip-existing") if verb == "run" else ["verify", str(runs.folder)]) == 2
-    assert f"{NAME}: cannot be read: Input/output error; check its rights" in capsys.readouterr().err
-    assert (runs.folder / NAME).read_bytes() == before
+    assert f"{MANIFEST_NAME}: cannot be read: Input/output error; check its rights" in capsys.readouterr().err
+    assert (runs.folder / MANIFEST_NAME).read_bytes() == before
     assert sorted(path.suffix for path in runs.folder.iterdir()) == [".exr"] * 8 + [".json"]
 
 
 def test_verify_without_a_manifest(tmp_path, capsys):
     assert main(["verify", str(tmp_path)]) == 2
-    assert f"has no {NAME}: give the folder that 'postfx run' wrote to" in capsys.readouterr().err
+    assert f"has no {MANIFEST_NAME}: give the folder that 'postfx run' wrote to" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", "null", "[" * 100_000, "\x00\x01",
                                      '{"format": "other", "version": 1}',
                                      '{"format": "postfx manifest", "version": 1, "runs": [], "outputs": {}}'])
 def test_verify_of_a_damaged_manifest(tmp_path, capsys, content):
-    (tmp_path / NAME).write_text(content)
+    (tmp_path / MANIFEST_NAME).write_text(content)
     assert main(["verify", str(tmp_path)]) == 2
     said = capsys.readouterr().err
     assert said.startswith("error: ") and said.count("\n") == 1 and "delete it" in said
@@ -97,12 +97,12 @@ def test_verify_of_a_damaged_manifest(tmp_path, capsys, content):
 
 @pytest.mark.parametrize("name", ["../other.exr", "/etc/passwd", "a/b.exr", "..", ""])
 def test_manifest_that_names_files_elsewhere(name):
-    text = json.dumps({"format": "postfx manifest", "version": VERSION, "runs": {}, "outputs": {
+    text = json.dumps({"format": "postfx manifest", "version": MANIFEST_VERSION, "runs": {}, "outputs": {
         name: {"run": "r", "frame": 1}}})
     with pytest.raises(ManifestError, match="it names a file outside of its folder"):
         Manifest.from_json(text)
     with pytest.raises(ManifestError, match="it names a file outside of its folder"):
-        Manifest.from_json(json.dumps({"format": "postfx manifest", "version": VERSION, "runs": {name: {}},
+        Manifest.from_json(json.dumps({"format": "postfx manifest", "version": MANIFEST_VERSION, "runs": {name: {}},
                                        "outputs": {}}))
 
 
@@ -111,7 +111,8 @@ def test_manifest_that_names_files_elsewhere(name):
                                    {"run": "r", "frame": 1, "inputs": {"a": 1}},
                                    {"run": "r", "frame": 1, "inputs": {"a": [float("inf"), 1]}}])
 def test_manifest_with_a_malformed_entry(entry):
-    text = json.dumps({"format": "postfx manifest", "version": VERSION, "runs": {}, "outputs": {"a.exr": entry}})
+    text = json.dumps({"format": "postfx manifest", "version": MANIFEST_VERSION, "runs": {},
+                       "outputs": {"a.exr": entry}})
     with pytest.raises(ManifestError, match="it is damaged"):
         Manifest.from_json(text)
 
@@ -143,7 +144,7 @@ def test_log_has_an_object_for_each_event(runs):
     assert len({item["run"] for item in events}) == 1 and all(item["time"].endswith("Z") for item in events)
     frames = runs.events("frame")
     assert [item["frame"] for item in frames] == list(range(1, 9))
-    manifest = json.loads((runs.folder / NAME).read_text())["outputs"]
+    manifest = json.loads((runs.folder / MANIFEST_NAME).read_text())["outputs"]
     assert all(manifest[os.path.basename(item["file"])]["sha256"] == item["sha256"] for item in frames)
     assert set(frames[0]) == {"time", "run", "event", "frame", "file", "bytes", "sha256", "ms", "passes", "exposure_ev",
                               "cut", "broken"}
@@ -194,7 +195,8 @@ def test_full_disk_while_a_frame_is_written(runs, unbroken):
 def test_full_disk_while_the_manifest_is_written(runs, unbroken):
     code, said = runs.fail({"at": "postfx.runs.manifest.write_atomically", "do": "full", "calls": [2]},
                            more=("--checkpoint", "0"))
-    assert code == 2 and f"{NAME}: cannot be written: No space left on device" in said and "Traceback" not in said
+    assert (code == 2 and f"{MANIFEST_NAME}: cannot be written: No space left on "
+            "device" in said and "Traceback" not in said)
     assert runs("--skip-existing")[0] == 0 and runs.files() == unbroken and runs.verify()[0] == 0
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from postfx.errors import WriteError
 from postfx.exposure.debugger import Reading, Report, Shot
-from postfx.report.charts import LEFT, NEEDED, RIGHT_EDGE, STRIP, USED, Canvas, draw_exposure
+from postfx.report.charts import NEEDED_RGB, PLOT_LEFT_PX, PLOT_RIGHT_PX, STRIP_ROWS_PX, USED_RGB, Canvas, draw_exposure
 
 
 def report(used: list[float], needed: list[float], cuts: tuple[int, ...] = ()) -> Report:
@@ -29,13 +29,13 @@ def rows_of(pixels: np.ndarray, colour: tuple[int, int, int], x: float) -> np.nd
 def test_curves_stand_at_their_stops_and_the_strip_shows_what_was_seen(tmp_path: Path) -> None:
     draw_exposure(report([0.0] * 8, [1.0] * 8), "title", tmp_path / "a/curve.png")
     pixels = oiio.ImageBuf(str(tmp_path / "a/curve.png")).get_pixels(oiio.FLOAT) * 255
-    x = LEFT + (RIGHT_EDGE - LEFT) * 2.5 / 8
-    used, needed = rows_of(pixels, USED, x).mean(), rows_of(pixels, NEEDED, x).mean()
+    x = PLOT_LEFT_PX + (PLOT_RIGHT_PX - PLOT_LEFT_PX) * 2.5 / 8
+    used, needed = rows_of(pixels, USED_RGB, x).mean(), rows_of(pixels, NEEDED_RGB, x).mean()
     assert used - needed == pytest.approx((400 - 74) / 2, abs=3)  # one stop of the two that the axis spans
-    assert pixels[STRIP[0] + 5, round(x)] == pytest.approx(255 * 0.24, abs=1)
-    assert pixels[STRIP[1] - 5, round(x)] == pytest.approx(255 * 0.45, abs=1)
-    word = np.flatnonzero(np.ptp(pixels[STRIP[1] + 36:STRIP[1] + 54], axis=0).max(-1) > 40)
-    assert word.size > 10 and (word[0] + word[-1]) / 2 == pytest.approx((LEFT + RIGHT_EDGE) / 2, abs=2)
+    assert pixels[STRIP_ROWS_PX[0] + 5, round(x)] == pytest.approx(255 * 0.24, abs=1)
+    assert pixels[STRIP_ROWS_PX[1] - 5, round(x)] == pytest.approx(255 * 0.45, abs=1)
+    word = np.flatnonzero(np.ptp(pixels[STRIP_ROWS_PX[1] + 36:STRIP_ROWS_PX[1] + 54], axis=0).max(-1) > 40)
+    assert word.size > 10 and (word[0] + word[-1]) / 2 == pytest.approx((PLOT_LEFT_PX + PLOT_RIGHT_PX) / 2, abs=2)
     assert (tmp_path / "a/curve.png").stat().st_size < 300_000
 
 
@@ -43,8 +43,8 @@ def test_curves_are_not_joined_over_a_cut(tmp_path: Path) -> None:
     for cuts in ((), (4,)):
         draw_exposure(report([0.0] * 4 + [2.0] * 4, [0.0] * 8, cuts), "title", tmp_path / "curve.png")
         pixels = oiio.ImageBuf(str(tmp_path / "curve.png")).get_pixels(oiio.FLOAT) * 255
-        x = LEFT + (RIGHT_EDGE - LEFT) * 3.9 / 8
-        assert (rows_of(pixels, USED, x).size > 0) == (not cuts)
+        x = PLOT_LEFT_PX + (PLOT_RIGHT_PX - PLOT_LEFT_PX) * 3.9 / 8
+        assert (rows_of(pixels, USED_RGB, x).size > 0) == (not cuts)
 
 
 @pytest.mark.parametrize("count", (1, 2, 3000))

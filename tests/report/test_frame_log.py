@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postfx.report.charts import charts
-from postfx.report.frame_log import LONGEST, FrameLog, Look, measure_change
+from postfx.report.frame_log import LONGEST_SIDE_PX, FrameLog, Look, measure_change
 from postfx.report.pictures import encode_light
 
 SCENE, DISPLAY = Look(False), Look(True)
@@ -80,7 +80,7 @@ def test_large_frames_are_reduced_and_the_exposure_is_in_the_codes():
     log.add(1, {"after": picture(0.5, (900, 1600))}, 4.0, maps={"FLIP": picture(1.0, (900, 1600))})
     (frame,) = log.frames()
     packed = frame["pictures"]["after"]
-    assert frame["size"] == (1600, 900) and (packed["width"], packed["height"]) == (LONGEST, 450)
+    assert frame["size"] == (1600, 900) and (packed["width"], packed["height"]) == (LONGEST_SIDE_PX, 450)
     assert (log._sights[1].pictures["after"] == encode_light(picture(2.0, (1, 1)), SCENE.highest)[0, 0]).all()
     assert log._sights[1].maps["FLIP"].shape == (450, 800, 3) and (log._sights[1].maps["FLIP"] == 255).all()
 

@@ -86,7 +86,7 @@ def run(shot, out, address: str) -> int:
 
 
 def test_a_viewer_gets_the_frames_that_are_written(shot, tmp_path, monkeypatch):
-    monkeypatch.setattr(live, "BAND", 16)  # several packets, the last of fewer rows
+    monkeypatch.setattr(live, "PACKET_ROWS", 16)  # several packets, the last of fewer rows
     with listening() as (listener, address):
         tev = Tev(listener)
         assert run(shot, tmp_path, address) == 0
@@ -117,14 +117,14 @@ def test_a_viewer_that_is_not_there_stops_nothing(shot, tmp_path, capsys):
 
 def test_a_viewer_that_hangs_holds_nothing(monkeypatch):
     """It takes the connection and reads nothing: pictures that it does not take are left out."""
-    monkeypatch.setattr(live, "PATIENCE", 0.2)
+    monkeypatch.setattr(live, "VIEWER_TIMEOUT_SECONDS", 0.2)
     monkeypatch.setattr(live, "LAST_SECONDS", 0.5)
     frame = Frame({Role.COLOUR: np.zeros((1024, 2048, 3), np.float32)})
     with listening() as (_, address):
         viewer = LiveViewer(address)
         for number in range(50):
             viewer.show(str(number), frame)
-        assert viewer._waiting.qsize() <= live.WAITING
+        assert viewer._waiting.qsize() <= live.MOST_QUEUED_PICTURES
         viewer.close()
 
 

@@ -5,11 +5,11 @@ import pytest
 
 from postfx.colour.displays import srgb_encode
 from postfx.colour.views import to_codes
-from postfx.report.pictures import LARGEST, TOE, encode_light, pack_codes
+from postfx.report.pictures import EVEN_LIGHT, LARGEST_SIDE_PX, encode_light, pack_codes
 
 
 def light_of(codes, highest):
-    return TOE * ((1 + highest / TOE) ** (codes / LARGEST) - 1)
+    return EVEN_LIGHT * ((1 + highest / EVEN_LIGHT) ** (codes / LARGEST_SIDE_PX) - 1)
 
 
 @pytest.mark.parametrize("stops", [-6, -2, 0, 2, 4])
@@ -30,7 +30,8 @@ def test_what_is_out_of_range_is_clipped_and_what_is_not_finite_is_magenta():
     light = np.float32([[[-1, 0, 1e9], [np.nan, 1, 1], [1, np.inf, 1]]])
     codes = encode_light(light, 64.0)
     assert codes.dtype == np.uint16
-    assert codes[0].tolist() == [[0, 0, LARGEST], [LARGEST, 0, LARGEST], [LARGEST, 0, LARGEST]]
+    assert codes[0].tolist() == [[0, 0, LARGEST_SIDE_PX], [LARGEST_SIDE_PX, 0, LARGEST_SIDE_PX],
+                                 [LARGEST_SIDE_PX, 0, LARGEST_SIDE_PX]]
 
 
 def test_smooth_light_is_packed_small():

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from postfx.runtime import DeviceError, cuda
-from postfx.runtime.cuda import MOST, CudaGraphs, CudaMemory, Event, Fork
+from postfx.runtime.cuda import MOST_CAPTURED_GRAPHS, CudaGraphs, CudaMemory, Event, Fork
 from postfx.runtime.memory import Memory
 
 STREAM = 77
@@ -85,7 +85,7 @@ def test_a_capture_that_the_driver_gave_up(driver: Driver) -> None:
 
 def test_graphs_of_long_ago_are_dropped_and_made_anew(driver: Driver) -> None:
     graphs = CudaGraphs(STREAM)
-    for key in range(MOST + 1):
+    for key in range(MOST_CAPTURED_GRAPHS + 1):
         graphs.replay(key, None, lambda: True)
         graphs.replay(key, None, lambda: True)
     assert driver.count("cuGraphExecDestroy") == 1

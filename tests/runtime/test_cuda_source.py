@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postfx.kernels import SHARED, SOURCES, constants_of, print_constants, read_source
+from postfx.kernels import KERNEL_SOURCES, SHARED, constants_of, print_constants, read_source
 from postfx.kernels import denoise as layout
 from postfx.kernels.denoise import history, output
 
-FAMILIES = sorted(SOURCES.rglob("*.cu"))
+FAMILIES = sorted(KERNEL_SOURCES.rglob("*.cu"))
 
 
 def constants(path: Path) -> dict[str, int | float]:

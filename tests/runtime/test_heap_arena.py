@@ -83,7 +83,7 @@ def test_memory_shrinks_when_who_needed_more_is_gone(device, library, chain):
 
 def test_memory_that_was_replaced_goes_back_to_the_system(device, library, monkeypatch):
     """Also where nothing is allocated after it, as from the second frame of a run on."""
-    monkeypatch.setattr("postfx.runtime.heap.CHUNK", 1)
+    monkeypatch.setattr("postfx.runtime.heap.CHUNK_BYTES", 1)
     one, large = Chain(device, library), Chain(device, library, rows=400)
     for chain in (one, large, one):
         chain.run()

@@ -103,7 +103,7 @@ def test_full_disk_is_no_harm(folder, monkeypatch):
 def test_last_used_files_are_kept(folder, monkeypatch):
     made(content(), WINDOW)
     (file,) = folder.iterdir()
-    monkeypatch.setattr(session, "MOST_BYTES", 3 * file.stat().st_size)
+    monkeypatch.setattr(session, "MOST_CACHE_BYTES", 3 * file.stat().st_size)
     for width in (48, 64, 80, 96):
         made(content(), {"height": 16, "width": width})
     kept = list(folder.iterdir())

@@ -12,7 +12,7 @@ import pytest
 from postfx.compiled.calls import BoundRows, bind_rows
 from postfx.compiled.library import Rows
 from postfx.runtime import threads
-from postfx.runtime.threads import LOOK, NANOSECONDS, Band, Helpers
+from postfx.runtime.threads import NANOSECONDS, SPIN_SECONDS, Band, Helpers
 
 HEADER = """
 #include "rows.h"
@@ -46,7 +46,7 @@ def bands_of(rows, edges: list[int], *arrays: np.ndarray) -> list[Band]:
     return [Band(lambda first, last: rows(first, last, *arrays), *edge) for edge in zip(edges, edges[1:], strict=False)]
 
 
-@pytest.mark.parametrize(("pause", "times"), [(0, 200), (3 * LOOK, 20), (6e-9 * NANOSECONDS, 4)],
+@pytest.mark.parametrize(("pause", "times"), [(0, 200), (3 * SPIN_SECONDS, 20), (6e-9 * NANOSECONDS, 4)],
                          ids=["at once", "while they doze", "after they went"])
 def test_every_row_is_worked_on_once(header: Path, pause: float, times: int) -> None:
     helpers, counts, compiled_counts = Helpers(3), np.zeros(40), np.zeros(40)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.bench.stress import BRIGHTEST, HARD, LIGHTS, Outcome, as_dict, as_text, stress, tags
+from postfx.bench.stress import BRIGHTEST_OUTPUT, HARD, LIGHT_CHANGES, Outcome, as_dict, as_text, stress, tags
 from postfx.frame import Frame, Role
 from postfx.io.sequence import read_sequence
 from postfx.passes import Pass
@@ -35,7 +35,7 @@ def shown(request: pytest.FixtureRequest, device: Device) -> Pipeline:
 
 def assert_light(colour: np.ndarray, exposure: float, name: str = "") -> None:
     assert np.isfinite(colour).all(), name
-    assert colour.min() >= 0 and colour.max() * exposure <= BRIGHTEST, name
+    assert colour.min() >= 0 and colour.max() * exposure <= BRIGHTEST_OUTPUT, name
 
 
 @on()
@@ -48,7 +48,7 @@ def test_denoised_light_is_finite_and_in_range(model: str, device: Device) -> No
 
 
 def test_shown_light_is_within_the_display(shown: Pipeline) -> None:
-    for name, change in LIGHTS.items():
+    for name, change in LIGHT_CHANGES.items():
         shown.reset()
         colour = shown(Frame({Role.COLOUR: change(noisy(1, 24, 32))[Role.COLOUR]}))[Role.COLOUR]
         assert np.isfinite(colour).all() and colour.min() >= 0 and colour.max() <= 1, name
@@ -121,7 +121,7 @@ def test_dim_light_after_bright_light_is_not_negative(device: Device) -> None:
     """Differences of logarithms of light 16 stops apart are rounded."""
     first, second, last = list(read_sequence(ROOM / "noisy.####.exr", "1-3"))
     chain = pipeline("s.fp32", device, "auto")
-    for frame in (LIGHTS["largest half"](first), LIGHTS["largest half"](second), last):
+    for frame in (LIGHT_CHANGES["largest half"](first), LIGHT_CHANGES["largest half"](second), last):
         assert_light(chain(frame)[Role.COLOUR], chain.exposure_factor)
 
 

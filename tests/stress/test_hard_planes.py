@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postfx.bench.stress import BRIGHTEST, HARD, LIGHTS
+from postfx.bench.stress import BRIGHTEST_OUTPUT, HARD, LIGHT_CHANGES
 from postfx.frame import GUIDE_ROLES, Frame, Role
 from postfx.passes.exposure_tool import GREYS, ExposureTool
 from postfx.pipeline import Pipeline
@@ -32,7 +32,7 @@ def assert_light(chain: Pipeline, frames: list[Frame], what: object) -> None:
     for frame in frames:
         colour = chain(frame)[Role.COLOUR]
         assert np.isfinite(colour).all() and colour.min() >= 0, what
-        assert colour.max() * chain.exposure_factor <= BRIGHTEST, what
+        assert colour.max() * chain.exposure_factor <= BRIGHTEST_OUTPUT, what
 
 
 @on(cpu=("s.fp32, portable", "s.fp16", "l.int8"), gpu=("s.fp32, portable", "s.fp16, portable", "m.fp16", "l.fp16"))
@@ -77,6 +77,6 @@ def test_guides_of_any_values(model: str, device: Device) -> None:
 
 def test_the_exposure_tool_is_visible_on_any_light(device: Device) -> None:
     chain = Pipeline([ExposureTool()], device, cuts="none")
-    for change in LIGHTS.values():
+    for change in LIGHT_CHANGES.values():
         exposed = chain(change(noisy(1, *SIZE)))[Role.COLOUR] * chain.exposure_factor
         np.testing.assert_allclose((exposed.min(), exposed.max()), GREYS, rtol=1e-6)

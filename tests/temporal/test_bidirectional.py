@@ -79,7 +79,7 @@ def test_light_after_a_cut_does_not_come_before_it(noisy, device):
 
 
 def test_a_frame_does_not_depend_on_which_are_asked_for(noisy, device, monkeypatch):
-    monkeypatch.setattr(reverse_order, "PART", 3)
+    monkeypatch.setattr(reverse_order, "PART_FRAMES", 3)
     monkeypatch.setattr(reverse_order, "RUN_UP", 2)
     sequence = noisy(8)
     backwards = Backwards(sequence, device, 0.0, model="s")
@@ -99,7 +99,7 @@ def test_frames_after_those_that_are_asked_for_count_too(noisy, device):
 
 
 def test_parts_are_run_from_behind_with_a_run_up(noisy, device, monkeypatch):
-    monkeypatch.setattr(reverse_order, "PART", 3)
+    monkeypatch.setattr(reverse_order, "PART_FRAMES", 3)
     monkeypatch.setattr(reverse_order, "RUN_UP", 2)
     sequence, order = noisy(7), []
     backwards = Backwards(sequence, device, 0.0, model="s")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postfx.frame import Frame, Role
-from postfx.temporal.reverse_motion import LONGEST, LOST, HistoryLength, motion_to_next, reverse_motion
+from postfx.temporal.reverse_motion import LONGEST_HISTORY_FRAMES, LOST, HistoryLength, motion_to_next, reverse_motion
 
 HEIGHT, WIDTH = 20, 30
 
@@ -92,9 +92,9 @@ def test_without_depth_motion_is_turned_all_the_same():
 
 def test_frames_in_sight_are_counted_up_to_a_limit():
     lengths = HistoryLength()
-    for number in range(1, LONGEST + 4):
+    for number in range(1, LONGEST_HISTORY_FRAMES + 4):
         count = lengths(moving((0, 0)))
-        assert (count == min(number, LONGEST)).all()
+        assert (count == min(number, LONGEST_HISTORY_FRAMES)).all()
 
 
 def test_what_comes_into_the_picture_counts_from_one():

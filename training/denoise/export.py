@@ -38,7 +38,7 @@ from postfx.kernels.denoise.parts import ACCUMULATE_PART, BALANCE, DECODE, DECOD
 from postfx.kernels.denoise.prepare import ACCUMULATE, DILATE, MEANS, SCALE
 from postfx.kernels.denoise.pyramid import ENLARGE_ALPHA, FILTER, LEVEL, MIX_LEVELS, POOL, REMODULATE, REMODULATE_BOTH
 from postfx.kernels.denoise.upsample import BLEND_PICTURE, UPSAMPLE, UPSAMPLE_GUIDED, UPSAMPLE_UNSCALED
-from postfx.kernels.image import ENLARGE, OVER, OVER_ALPHA, RESAMPLE
+from postfx.kernels.image import ENLARGE_OVERLAY, OVER, OVER_ALPHA, RESAMPLE
 from postfx.kernels.partner import ENLARGE_MOTION, MIX_PARTNER
 from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
 from postfx.passes.denoise.network import CONTROLS, ERROR, FEATURE_PARTS, FINE_LOGITS, PHASED_FINE, PICTURE
@@ -128,7 +128,7 @@ KERNELS = {
     KEEP: extras.Keep,
     ASSEMBLE: kernels.Assemble,
     RESAMPLE: kernels.Resample,
-    ENLARGE: extras.Enlarge,
+    ENLARGE_OVERLAY: extras.Enlarge,
     OVER: extras.Over,
     OVER_ALPHA: extras.OverAlpha,
     MIX_PARTNER: partner.MixPartner,

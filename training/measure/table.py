@@ -36,11 +36,11 @@ from postfx.bench.metrics import SequenceScore
 from postfx.errors import PostfxError
 from postfx.frame import Role
 from postfx.io.sequence import Sequence, read_sequence
-from postfx.oidn import WAYS
+from postfx.oidn import GUIDE_WAYS
 from postfx.runtime import Device
 
 FIGURES = ("psnr", "flip", "flicker")
-SINGLE = (*WAYS, "none")
+SINGLE = (*GUIDE_WAYS, "none")
 """Ways to give planes to Open Image Denoise."""
 ACCUMULATED = "accumulated"
 SIZES = {"1x": ("noisy", 1), "2x": ("half", 2)}

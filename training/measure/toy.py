@@ -57,7 +57,7 @@ def run(folder: Path) -> list[float]:
 
 def main(words: list[str] | None = None) -> None:
     """Run the page's commands."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--folder", type=Path, help="where clips and runs go (default: a temporary one)")
     given = parser.parse_args(words)
     with tempfile.TemporaryDirectory() as temporary:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from postfx.bench.metrics import FOLLOWED, LUMINANCE, warp
+from postfx.bench.metrics import FOLLOWED_DIFFERENCE, LUMINANCE_WEIGHTS, warp
 from postfx.colour.displays import parse_display
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, Role
@@ -49,7 +49,7 @@ def greys(render: Render, reference: Render) -> dict[str, float]:
     `rough` is how much the largest step is larger than the reference's: a band that eight bits alone do not make.
     """
     found, wanted = (make(ramp())[32] for make in (render, reference))
-    rise, wanted_rise = (np.diff(x @ LUMINANCE) * STEPS for x in (found, wanted))
+    rise, wanted_rise = (np.diff(x @ LUMINANCE_WEIGHTS) * STEPS for x in (found, wanted))
     return {
         "chroma": float(chroma(found).max()),
         "fall": float(max(0.0, -rise.min())),
@@ -84,7 +84,7 @@ def halo(render: Render, reference: Render) -> float:
 def _swing(render: Render, height: int = 256, width: int = 512) -> float:
     edge = np.full((height, width, 3), MID_GREY * 2.0 ** (-EDGE_STOPS / 2), np.float32)
     edge[:, width // 2 :] *= np.float32(2.0**EDGE_STOPS)
-    row = (render(edge) @ LUMINANCE)[height // 2] * STEPS
+    row = (render(edge) @ LUMINANCE_WEIGHTS)[height // 2] * STEPS
     reach, half = int(EDGE_REACH * width), width // 2
     dark, bright = row[half - reach : half - 1] - row[half // 4], row[half + 1 : half + reach] - row[-half // 4]
     return float(max(np.abs(dark).max(), np.abs(bright).max()))
@@ -140,7 +140,7 @@ def flicker(folder: Path, looks: dict[str, Maker], judge: str) -> dict[str, dict
             height, width = frame[Role.COLOUR].shape[:2]
             along = motion_at(motion, np.arange(height), np.arange(width), height, width)
             change = {name: np.abs(now[name] - warp(before[name], along)) for name in looks}
-            followed = change[judge].max(-1) < FOLLOWED
+            followed = change[judge].max(-1) < FOLLOWED_DIFFERENCE
             count += int(followed.sum())
             for name in looks:
                 sums[name] += [x.mean(-1)[followed].sum(dtype=np.float64) for x in (change[name], contrast(now[name]))]

@@ -15,7 +15,7 @@ import torch
 
 from postfx.kernels.colour import APPLY_CUBE, CONVERT_PRIMARIES, ENCODE_DISPLAY
 from postfx.kernels.image import CHECKERBOARD
-from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, SMOOTH
+from postfx.kernels.tonemap import EXPOSE, FOLLOW, LIGHT, SMOOTH_GRID
 from training.export import OPSET, export, export_kernel, parity, parser, read_quality, write_card
 from training.kernels.tonemap import (
     ApplyCube,
@@ -59,7 +59,7 @@ def export_kernels(folder: Path) -> None:
     export(SliceApply(), arguments, names, ["output"], folder / "slice_apply.onnx", free)
     export_kernel(LIGHT, Light(), {}, folder)
     export_kernel(FOLLOW, Follow(), {}, folder)
-    export_kernel(SMOOTH, Smooth(), {}, folder)
+    export_kernel(SMOOTH_GRID, Smooth(), {}, folder)
     export_kernel(EXPOSE, Expose(), {}, folder)
     export_kernel(ENCODE_DISPLAY, EncodeDisplay(), {"height": 9, "width": 16}, folder)
     export_kernel(CONVERT_PRIMARIES, ConvertPrimaries(), {"height": 9, "width": 16}, folder)

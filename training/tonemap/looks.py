@@ -25,7 +25,7 @@ import torch.nn.functional as F
 from kornia.filters import filter2d_separable
 
 from postfx.colour import ACESCG, REC709, matrix_between
-from postfx.colour.displays import KINDS
+from postfx.colour.displays import DISPLAY_KINDS
 from postfx.colour.ocio import DISPLAYS, Transform, file_transform
 from postfx.errors import ColourError
 from training.tonemap.model import BLACK, CUBE, MID_GREY, default_shaper, lattice, look_up, shape
@@ -116,7 +116,8 @@ def _config(ocio: object, name: str) -> object:
 
 
 def _display(ocio: object, view: Ocio) -> object:
-    shown = next((kind.title for name, kind in KINDS.items() if view.display in DISPLAYS[name] and name != SRGB), None)
+    shown = next((kind.title
+                  for name, kind in DISPLAY_KINDS.items() if view.display in DISPLAYS[name] and name != SRGB), None)
     if shown:
         raise SystemExit(f"{view.display}: is for {shown}: {ONLY_SRGB}")
     config = _config(ocio, view.config)

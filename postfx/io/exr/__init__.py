@@ -12,19 +12,25 @@ from typing import BinaryIO, NamedTuple
 from postfx.errors import ReadError
 from postfx.io.windows import Window
 
-MAGIC = 20000630
-VERSION = 2
-TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000
+EXR_MAGIC = 20000630
+EXR_VERSION = 2
+TILED = 0x200
+LONG_NAMES = 0x400
+DEEP = 0x800
+MULTI_PART = 0x1000
 SHORT_NAME = 31
 MAX_NAME = 255
-_BLOCK = 1 << 13
+_HEADER_BLOCK_BYTES = 1 << 13
 MAX_HEADERS = 64 << 20
 """Bytes that all headers of a file may have together."""
 MAX_PARTS = 4096
 MAX_CHANNELS = 16384
-SCANLINES, TILES, DEEP_SCANLINES, DEEP_TILES = "scanlineimage", "tiledimage", "deepscanline", "deeptile"
-PART_TYPES = (SCANLINES, TILES, DEEP_SCANLINES, DEEP_TILES)
-PIXEL_BYTES = (4, 2, 4)
+SCANLINE_IMAGE = "scanlineimage"
+TILED_IMAGE = "tiledimage"
+DEEP_SCANLINES = "deepscanline"
+DEEP_TILES = "deeptile"
+PART_TYPES = (SCANLINE_IMAGE, TILED_IMAGE, DEEP_SCANLINES, DEEP_TILES)
+SAMPLE_BYTES = (4, 2, 4)
 """Bytes of a sample by the pixel type of its channel: uint, half, float."""
 
 
@@ -56,7 +62,7 @@ class Header:
         """One of `PART_TYPES`, as the attribute `type` says; tiles tell it in old files."""
         if "type" in self.attributes:
             return text(self.attributes["type"].value)
-        return TILES if "tiles" in self.attributes else SCANLINES
+        return TILED_IMAGE if "tiles" in self.attributes else SCANLINE_IMAGE
 
     @property
     def name(self) -> str:
@@ -169,7 +175,7 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
     """
     start = _Start(file)
     magic, version = start.unpack("<iI")
-    if magic != MAGIC or version & 0xFF != VERSION:
+    if magic != EXR_MAGIC or version & 0xFF != EXR_VERSION:
         raise ReadError("it is not an OpenEXR file")
     headers, several = [], bool(version & MULTI_PART)
     while header := _header(start, several):
@@ -188,9 +194,9 @@ def read_headers(file: BinaryIO) -> tuple[int, list[Header]]:
 
 def _correct_type(header: Header, version: int) -> None:
     """Correct the type of a lone part by the file's flags, which tell how it is stored."""
-    wrong = TILES if not version & TILED else SCANLINES
+    wrong = TILED_IMAGE if not version & TILED else SCANLINE_IMAGE
     if not version & DEEP and header.part_type == wrong:
-        header.set_text("type", SCANLINES if wrong == TILES else TILES)
+        header.set_text("type", SCANLINE_IMAGE if wrong == TILED_IMAGE else TILED_IMAGE)
 
 
 def _header(start: _Start, may_end: bool) -> Header | None:
@@ -259,4 +265,5 @@ class _Start:
         return name, kind, self.take(size)
 
     def _hold(self, end: int) -> None:
-        self._held += self._file.read(max(end - len(self._held), len(self._held), _BLOCK))  # twice as much each time
+        # twice as much each time
+        self._held += self._file.read(max(end - len(self._held), len(self._held), _HEADER_BLOCK_BYTES))

@@ -26,15 +26,15 @@ from postfx.io.exr import (
     DEEP,
     DEEP_SCANLINES,
     DEEP_TILES,
+    EXR_MAGIC,
+    EXR_VERSION,
     LONG_NAMES,
-    MAGIC,
     MULTI_PART,
     PART_TYPES,
-    PIXEL_BYTES,
-    SCANLINES,
+    SAMPLE_BYTES,
+    SCANLINE_IMAGE,
     TILED,
-    TILES,
-    VERSION,
+    TILED_IMAGE,
     Header,
     read_headers,
 )
@@ -57,7 +57,7 @@ class Chunk(NamedTuple):
 
 def head_layout(part_type: str) -> tuple[int, str]:
     """Bytes of a chunk's coordinates, and the sizes that follow them."""
-    return {SCANLINES: (4, "<i"), TILES: (16, "<i"), DEEP_SCANLINES: (4, "<3q")}.get(part_type, (16, "<3q"))
+    return {SCANLINE_IMAGE: (4, "<i"), TILED_IMAGE: (16, "<i"), DEEP_SCANLINES: (4, "<3q")}.get(part_type, (16, "<3q"))
 
 
 def count_chunks(header: Header) -> int:
@@ -69,7 +69,7 @@ def count_chunks(header: Header) -> int:
         raise ReadError(f"its compression {header.compression} is not known")
     if not (1 <= data.width <= MAX_SIDE and 1 <= data.height <= MAX_SIDE):
         raise ReadError(f"its header claims {data.width}x{data.height} pixels")
-    if header.part_type in (SCANLINES, DEEP_SCANLINES):
+    if header.part_type in (SCANLINE_IMAGE, DEEP_SCANLINES):
         return -(-data.height // LINES[header.compression])
     return _tile_count(header)
 
@@ -110,7 +110,8 @@ def walk_chunks(
 ) -> Iterator[tuple[int, int, int]]:
     """Part, place in its table and offset of every chunk that lies between `first` and the file's `size`, one after
     another; it ends at the first bytes that are not a chunk."""
-    levels = [_tile_levels(header) if header.part_type not in (SCANLINES, DEEP_SCANLINES) else {} for header in headers]
+    levels = [_tile_levels(header) if header.part_type not in (SCANLINE_IMAGE, DEEP_SCANLINES) else {}
+              for header in headers]
     offset, part = first, 0
     while offset < size:
         file.seek(offset)
@@ -280,9 +281,9 @@ def check_claims(header: Header, file_size: int) -> None:
     if not (1 <= display.width <= MAX_SIDE and 1 <= display.height <= MAX_SIDE) or \
             display.width * display.height > MAX_EMPTY + 16 * data.width * data.height:
         raise ReadError(f"its header claims a display window of {display.width}x{display.height}")
-    if header.part_type not in (SCANLINES, TILES):
+    if header.part_type not in (SCANLINE_IMAGE, TILED_IMAGE):
         return
-    pixel = sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
+    pixel = sum(SAMPLE_BYTES[channel.kind] for channel in header.channels)
     most = _BOUNDED.get(header.compression, _UNBOUNDED)
     if data.width * data.height * pixel > most * file_size + (1 << 20):
         raise ReadError(f"its header claims {data.width}x{data.height} pixels in {file_size} bytes")
@@ -308,7 +309,7 @@ def write_container(path: Path, parts: list[NewPart]) -> int:
             part.header.set_text("type", part.header.part_type)
             part.header.set("chunkCount", "int", struct.pack("<i", part.count))
     with path.open("wb", 1 << 20) as file:  # chunks may be single lines
-        file.write(struct.pack("<iI", MAGIC, VERSION | _flags([part.header for part in parts])))
+        file.write(struct.pack("<iI", EXR_MAGIC, EXR_VERSION | _flags([part.header for part in parts])))
         file.write(b"".join(part.header.pack() for part in parts) + b"\0" * several)
         table = file.tell()
         file.write(bytes(8 * sum(part.count for part in parts)))
@@ -335,7 +336,7 @@ def _write_chunks(file: BinaryIO, part: NewPart, prefix: bytes) -> list[int]:
 def _flags(headers: list[Header]) -> int:
     kinds, several = {header.part_type for header in headers}, len(headers) > 1
     flags = MULTI_PART * several | DEEP * bool(kinds & {DEEP_SCANLINES, DEEP_TILES})
-    flags |= TILED * (not several and TILES in kinds)
+    flags |= TILED * (not several and TILED_IMAGE in kinds)
     return flags | LONG_NAMES * any(header.has_long_names() for header in headers)
 
 
@@ -355,12 +356,13 @@ class PlainReader:
         self._height, self.top, width = header.data.height, header.data.y0, header.data.width
         self._lines, self._words = LINES.get(header.compression, 1), 0
         self.channels: dict[str, tuple[int, int]] = {}  # kind, and place of the first word of two bytes in a line
-        is_plain = header.part_type == SCANLINES and header.compression in PLAIN
+        is_plain = header.part_type == SCANLINE_IMAGE and header.compression in OWN_COMPRESSIONS
         channels = header.channels if is_plain else []
         if all((channel.x_sampling, channel.y_sampling) == (1, 1) for channel in channels):
             for channel in channels:
-                self.channels |= {channel.name: (channel.kind, self._words)} if channel.kind in (HALF, FLOAT) else {}
-                self._words += width * PIXEL_BYTES[channel.kind] // 2
+                self.channels |= ({channel.name: (channel.kind, self._words)} if channel.kind in (HALF_KIND, FLOAT_KIND)
+                                  else {})
+                self._words += width * SAMPLE_BYTES[channel.kind] // 2
 
     def read(self, planes: NamedPlanes, first: int, last: int) -> bool:
         """Read the data window's rows from `first` to `last`, not included, both counted from its top. False where the
@@ -406,22 +408,27 @@ COMPRESSIONS = {0: "none", 1: "rle", 2: "zips", 3: "zip", 4: "piz", 5: "pxr24", 
 """OpenEXR's numbers of compressions."""
 _NEW = 10
 """The first that OpenImageIO may not know, by the OpenEXR that it was made with; it writes ZIP in their place."""
-NONE, ZIPS, ZIP = 0, 2, 3
-PLAIN = NONE, ZIPS, ZIP
+NO_COMPRESSION = 0
+ZIPS = 2
+ZIP = 3
+OWN_COMPRESSIONS = NO_COMPRESSION, ZIPS, ZIP
 """Those that are read and written here."""
-HALF, FLOAT = 1, 2
-"""Kinds of channels."""
+
+# Kinds of channels.
+HALF_KIND = 1
+FLOAT_KIND = 2
+
 ZIP_LINES = 16
 """Rows of a chunk of ZIP."""
-_KINDS = (oiio.UINT, oiio.HALF, oiio.FLOAT)
-_PIECE = 4 << 20  # bytes that are read and packed at once
+_OIIO_KINDS = (oiio.UINT, oiio.HALF, oiio.FLOAT)
+_PIECE_BYTES = 4 << 20  # bytes that are read and packed at once
 
 
 def _join_threads() -> None:
     """End the threads of OpenImageIO and OpenEXR before the process is forked: the copy has none of them, would wait
     for them for ever, and starts its own if they are known to be gone. OpenEXR hears of their number when OpenImageIO
     opens a file."""
-    _threads.append([oiio.get_int_attribute(name) for name in _POOLS])
+    _threads.append([oiio.get_int_attribute(name) for name in _THREAD_POOLS])
     oiio.attribute("threads", 1)
     oiio.attribute("exr_threads", _NO_THREADS)
     with suppress(OSError), memory_file(".exr") as path:
@@ -432,11 +439,11 @@ def _join_threads() -> None:
 
 
 def _allow_threads() -> None:
-    for name, count in zip(_POOLS, _threads.pop(), strict=True):
+    for name, count in zip(_THREAD_POOLS, _threads.pop(), strict=True):
         oiio.attribute(name, count)
 
 
-_POOLS = ("threads", "exr_threads")
+_THREAD_POOLS = ("threads", "exr_threads")
 _NO_THREADS = -1  # of OpenEXR; 0 would be one for each core
 _threads: list[list[int]] = []
 if hasattr(os, "register_at_fork"):
@@ -459,7 +466,8 @@ def picture_part(header: Header, read: Rows, apart: bool = False) -> NewPart:
     ZIP, by far the fastest compression, ZIPS and none are packed by as many threads as OpenImageIO reads and writes
     with, which does all others: there the channels must be of one type. `apart`: these threads may call `read`, too.
     """
-    chunks = _plain_chunks(header, read, apart) if header.compression in PLAIN else _library_chunks(header, read)
+    chunks = (_plain_chunks(header, read, apart) if header.compression in OWN_COMPRESSIONS
+              else _library_chunks(header, read))
     return NewPart(header, count_chunks(header), chunks)
 
 
@@ -483,7 +491,7 @@ def can_compress(name: str) -> bool:
 
 def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
     """Place in the table and bytes of each chunk, from a file that OpenImageIO makes in memory."""
-    data, kind = header.data, _KINDS[header.channels[0].kind]
+    data, kind = header.data, _OIIO_KINDS[header.channels[0].kind]
     spec = oiio.ImageSpec(data.width, data.height, len(header.channels), kind)
     spec.x, spec.y = data.x0, data.y0
     spec.channelnames = tuple(channel.name for channel in header.channels)
@@ -494,7 +502,7 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
         if output is None or not output.open(str(path), spec):
             raise OSError(oiio.geterror())
         written = True
-        step = max(1, _PIECE // (data.width * len(header.channels) * PIXEL_BYTES[2] * 256)) * 256  # whole chunks
+        step = max(1, _PIECE_BYTES // (data.width * len(header.channels) * SAMPLE_BYTES[2] * 256)) * 256  # whole chunks
         for first in range(0, data.height, step):
             last = min(data.height, first + step)
             pixels = np.stack([*read(first, last)], axis=2)
@@ -507,10 +515,10 @@ def _library_chunks(header: Header, read: Rows) -> Iterator[tuple[int, bytes]]:
 
 def _plain_chunks(header: Header, read: Rows, apart: bool) -> Iterator[tuple[int, bytes]]:
     """The same from the top, packed here."""
-    data, line_bytes = header.data, header.data.width * sum(PIXEL_BYTES[channel.kind] for channel in header.channels)
+    data, line_bytes = header.data, header.data.width * sum(SAMPLE_BYTES[channel.kind] for channel in header.channels)
     count, lines = oiio.get_int_attribute("threads"), LINES[header.compression]
     rows = rows_of_task(count)
-    step = rows if apart else max(1, _PIECE // (line_bytes * rows)) * rows
+    step = rows if apart else max(1, _PIECE_BYTES // (line_bytes * rows)) * rows
 
     def tasks() -> Iterator[Callable[[], list[bytes]]]:
         for first in range(0, data.height, step):
@@ -537,5 +545,5 @@ def _pack(get: Callable[[], Sequence[np.ndarray]], line_bytes: int, lines: int, 
         stored[:, at:end].view(channel.dtype)[:] = channel
         at = end
     chunks = [stored[first : first + lines] for first in range(0, len(stored), lines)]
-    packed = [compress_rows(chunk) if compression != NONE else chunk.tobytes() for chunk in chunks]
+    packed = [compress_rows(chunk) if compression != NO_COMPRESSION else chunk.tobytes() for chunk in chunks]
     return [struct.pack("<2i", top + place * lines, len(chunk)) + chunk for place, chunk in enumerate(packed)]

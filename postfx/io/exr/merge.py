@@ -31,8 +31,8 @@ from postfx.frame import Role
 from postfx.io.channels import read_channels
 from postfx.io.exr import ChannelInfo, Header, text
 from postfx.io.exr.container import (
-    FLOAT,
-    HALF,
+    FLOAT_KIND,
+    HALF_KIND,
     ExrContainer,
     NewPart,
     picture_part,
@@ -79,12 +79,13 @@ _UNIT = 2e-3
 """By how much the length of a unit vector of half floats may differ from 1."""
 _SAME = 0.95
 """Share of a rectangle's area from which on another one within it is taken for the same."""
-_MOST = 65504
+_LARGEST_HALF = 65504
 """The largest half float."""
-_BLOCK = 64
+_BLOCK_ROWS = 64
 """Rows that are looked at together."""
 _SAMPLES = re.compile(r"cycles\..+\.samples|postfx:spp|samplesPerPixel")
-_SPP, _MERGED = "postfx:spp", "postfx:merged"
+_SPP = "postfx:spp"
+_MERGED = "postfx:merged"
 _COUNT_NAME = "sample_count.Y"
 
 
@@ -313,7 +314,7 @@ class _Merge:
                 window = window.around(own.data)
         channels = list(stored.channels)
         if part.index == self._first.colour[0].part.index and self._is_uneven and self._lacks_counts():
-            channels.append(ChannelInfo(self._count_name(), FLOAT, 0, 1, 1))
+            channels.append(ChannelInfo(self._count_name(), FLOAT_KIND, 0, 1, 1))
         header = resize_header(Header(dict(stored.attributes)), window, channels)
         for name in ("dwaCompressionLevel", "preview", "thumbnail"):
             header.attributes.pop(name, None)
@@ -420,8 +421,8 @@ def _combine(rule: Rule, stack: np.ndarray, weights: np.ndarray, there: np.ndarr
 
 def _as_stored(values: np.ndarray, kind: int) -> np.ndarray:
     """Values in the type of a channel; what half floats cannot hold is cut to what they can."""
-    if kind == HALF and values.dtype != np.float16:
-        values = np.where(np.isfinite(values), np.clip(values, -_MOST, _MOST), values)
+    if kind == HALF_KIND and values.dtype != np.float16:
+        values = np.where(np.isfinite(values), np.clip(values, -_LARGEST_HALF, _LARGEST_HALF), values)
     return values.astype((np.uint32, np.float16, np.float32)[kind])
 
 
@@ -430,8 +431,8 @@ def _is_unit(render: Render, part: Part, names: Iterable[str]) -> bool:
     own = [render.find(part, name) for name in names]
     if own[0] is None or any(one is not own[0] for one in own):
         return False
-    for first in range(0, own[0].data.height, _BLOCK):
-        last = min(own[0].data.height, first + _BLOCK)
+    for first in range(0, own[0].data.height, _BLOCK_ROWS):
+        last = min(own[0].data.height, first + _BLOCK_ROWS)
         squares = sum(np.square(pixels.astype(np.float32))
                       for pixels in render.file.read_stored(own[0], list(names), first, last))
         if not ((squares == 0) | (np.abs(np.sqrt(squares) - 1) < _UNIT)).all():

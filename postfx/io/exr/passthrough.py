@@ -31,10 +31,11 @@ import OpenImageIO as oiio
 
 from postfx.errors import WriteError
 from postfx.frame import ColourSource, Frame
-from postfx.io.exr import SCANLINES, TILES, ChannelInfo, Header, pack_channels, raw
+from postfx.io.exr import SCANLINE_IMAGE, TILED_IMAGE, ChannelInfo, Header, pack_channels, raw
 from postfx.io.exr.container import COMPRESSIONS, ZIP, ExrContainer, NewPart, Rows, picture_part
 from postfx.io.image_file import ImageFile
-from postfx.io.windows import AREA, EXR_NAMES, PICTURE, Part, Window, cover, output_windows
+from postfx.io.layout import ALPHA_OF_RED
+from postfx.io.windows import AREA, EXR_NAMES, PICTURE_ATTRIBUTE, Part, Window, cover, output_windows
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ _SCENE_REFERRED = ("chromaticities", "colorinteropid", "postfx:exposure", "postf
 _NAMED_TYPES = {"timeCode": "timecode", "keyCode": "keycode", "framesPerSecond": "rational"}
 _STORED_NAMES = {name: stored for stored, name in EXR_NAMES.items()}
 _TUPLE_TYPES = {(float, 9): "matrix33", (float, 16): "matrix", (float, 3): "vector", (int, 2): "vector2i"}
-_WORDS = {float: "float", int: "int", str: "string"}
+_TYPE_WORDS = {float: "float", int: "int", str: "string"}
 
 
 def select_attributes(frame: Frame) -> dict[str, Any]:
@@ -155,8 +156,8 @@ def _type_of(value: Any) -> str:
         if len(kinds) != 1:
             return ""
         kind = kinds.pop()
-        return _TUPLE_TYPES.get((kind, len(value)), f"{_WORDS[kind]}[{len(value)}]" if kind in _WORDS else "")
-    return _WORDS.get(type(value), "")
+        return _TUPLE_TYPES.get((kind, len(value)), f"{_TYPE_WORDS[kind]}[{len(value)}]" if kind in _TYPE_WORDS else "")
+    return _TYPE_WORDS.get(type(value), "")
 
 
 RENDER = "render:"
@@ -165,11 +166,14 @@ _SHARED = ("displayWindow", "pixelAspectRatio", "timeCode", "chromaticities")
 _STRUCTURE = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "type", "name", "tiles", "version",
               "chunkCount", "maxSamplesPerPixel", "dwaCompressionLevel")
 _INVENTED = "capDate"  # OpenImageIO writes today's if there is none
-_NAME, _RENDER_NAME = "rgba", "render"
-_ALPHAS = {"R": "A", "r": "a", "red": "alpha", "Red": "Alpha", "RED": "ALPHA"}
-_LETTERS = ("R", "G", "B")
-_NOISY, _SHOWN = "Noisy Image", "Combined"
-"""Layers of Cycles: the colour before Blender's own denoiser, and the one after it, which compositors show."""
+_RGBA_PART = "rgba"
+_RENDER_NAME = "render"
+RGB_LETTERS = ("R", "G", "B")
+
+# Layers of Cycles: the colour before Blender's own denoiser, and the one after it, which
+# compositors show.
+_NOISY = "Noisy Image"
+_SHOWN = "Combined"
 
 
 def merge_source(own: Header, rows: Rows, frame: Frame, stack: ExitStack) -> list[NewPart]:
@@ -203,11 +207,11 @@ class Merge:
         if self._enlargement:
             return _with_names(self._enlarge_parts(self._enlargement))
         index, colour = self._shown()
-        if not (self._takes(index) and len({*colour}) == len(_LETTERS)):
+        if not (self._takes(index) and len({*colour}) == len(RGB_LETTERS)):
             header = self.header(headers[self._stored.part], in_place=False)
             return _with_names([picture_part(header, self._rows, apart=True),
                                 *(self.as_stored(part, header) for part in range(len(headers)))])
-        names = dict(zip(_LETTERS, colour, strict=True)) | {"A": alpha_of(colour)}
+        names = dict(zip(RGB_LETTERS, colour, strict=True)) | {"A": alpha_of(colour)}
         held = [channel.name for channel in self._own.channels]
         header = self.header(headers[index], in_place=True, names=[names.get(name, name) for name in held])
         fresh: dict[int, dict[str, str]] = {}
@@ -238,7 +242,7 @@ class Merge:
         render = self._source.headers[part]
         same = (render.data, render.display) == (self._own.data, self._own.display)
         plain = all(channel.x_sampling == channel.y_sampling == 1 for channel in render.channels)
-        return same and plain and render.part_type in (SCANLINES, TILES)
+        return same and plain and render.part_type in (SCANLINE_IMAGE, TILED_IMAGE)
 
     def as_stored(self, part: int, picture: Header) -> NewPart:
         """A part of the source with its pixels as they are."""
@@ -253,8 +257,8 @@ class Merge:
             if own is not None and own != shared:
                 header.attributes[RENDER + name] = header.attributes.pop(name)
                 header.attributes |= {name: shared} if shared else {}
-        if PICTURE in header.attributes:  # of a picture that was processed again
-            header.attributes[RENDER + PICTURE] = header.attributes.pop(PICTURE)
+        if PICTURE_ATTRIBUTE in header.attributes:  # of a picture that was processed again
+            header.attributes[RENDER + PICTURE_ATTRIBUTE] = header.attributes.pop(PICTURE_ATTRIBUTE)
         return header
 
     def _enlarge_parts(self, enlargement: Enlargement) -> list[NewPart]:
@@ -309,7 +313,7 @@ class Merge:
 
         if apart:
             beside.set_text("name", f"{header.name or _RENDER_NAME}.other")
-            beside.attributes.pop(PICTURE, None)
+            beside.attributes.pop(PICTURE_ATTRIBUTE, None)
             alone = picture_part(header, _select(self._own, self._rows, header, fresh), apart=True)
             return [alone, picture_part(beside, others)]
         rows = _select(self._own, self._rows, None, fresh)
@@ -338,7 +342,7 @@ class Merge:
         if in_place and "name" in render.attributes:
             found["name"] = render.attributes["name"]
         header = Header(found)
-        header.set_text(PICTURE, ",".join(names or (channel.name for channel in self._own.channels)))
+        header.set_text(PICTURE_ATTRIBUTE, ",".join(names or (channel.name for channel in self._own.channels)))
         return header
 
     def _is_new(self, name: str) -> bool:
@@ -351,7 +355,7 @@ class Merge:
 def alpha_of(colour: tuple[str, ...]) -> str:
     """What alpha beside a colour is called: 'beauty.red' has 'beauty.alpha'."""
     layer, _, red = colour[0].rpartition(".")
-    return ".".join(filter(None, (layer, _ALPHAS.get(red, "A"))))
+    return ".".join(filter(None, (layer, ALPHA_OF_RED.get(red, "A"))))
 
 
 def _select(own: Header, rows: Rows, header: Header | None, names: Mapping[str, str]) -> Rows:
@@ -387,7 +391,7 @@ def resize_header(header: Header, data: Window, channels: list[ChannelInfo]) -> 
     header.set("dataWindow", "box2i", struct.pack("<4i", *data))
     header.set("lineOrder", "lineOrder", bytes(1))
     if "type" in header.attributes:
-        header.set_text("type", SCANLINES)
+        header.set_text("type", SCANLINE_IMAGE)
     return header
 
 
@@ -398,7 +402,7 @@ def _with_names(parts: list[NewPart]) -> list[NewPart]:
     taken = {part.header.name for part in parts}
     for part in parts:
         if not part.header.name:
-            name = _NAME if PICTURE in part.header.attributes else _RENDER_NAME
+            name = _RGBA_PART if PICTURE_ATTRIBUTE in part.header.attributes else _RENDER_NAME
             names = [name, *(f"{name}.{number}" for number in range(2, len(parts) + 2))]
             part.header.set_text("name", next(name for name in names if name not in taken))
             taken.add(part.header.name)

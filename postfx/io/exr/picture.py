@@ -15,7 +15,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from postfx.colour import Chromaticities
-from postfx.colour.displays import KINDS, Display
+from postfx.colour.displays import DISPLAY_KINDS, Display
 from postfx.frame import Frame
 from postfx.io.encoder import encode_pixel
 from postfx.io.exr import Header, read_headers
@@ -59,7 +59,7 @@ def light_of(codes: np.ndarray, display: Display) -> np.ndarray:
 
 @cache
 def _table(name: str) -> np.ndarray:
-    light = KINDS[name].curve.decode(np.linspace(0, 1, TABLE_STEPS + 1))
+    light = DISPLAY_KINDS[name].curve.decode(np.linspace(0, 1, TABLE_STEPS + 1))
     return np.append(light, light[-1]).astype(np.float32)
 
 

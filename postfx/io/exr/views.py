@@ -18,6 +18,7 @@ from postfx.frame import ColourSource, Frame
 from postfx.io.exr import ChannelInfo, Header, pack_channels
 from postfx.io.exr.container import ExrContainer, NewPart, Rows, picture_part
 from postfx.io.exr.passthrough import (
+    RGB_LETTERS,
     Enlargement,
     Merge,
     alpha_of,
@@ -26,9 +27,7 @@ from postfx.io.exr.passthrough import (
     resize_header,
 )
 from postfx.io.image_file import ImageFile
-from postfx.io.windows import PICTURE, Part, Window
-
-_LETTERS = ("R", "G", "B")
+from postfx.io.windows import PICTURE_ATTRIBUTE, Part, Window
 
 
 class View(NamedTuple):
@@ -102,7 +101,7 @@ class _ViewMerge:
             beside.set_text("name", f"{self._headers[index].name or 'render'}.other")
             rest = [picture_part(beside, self._read_kept(index, kept))]
         header.set("channels", "chlist", pack_channels(channels))
-        header.set_text(PICTURE, ",".join(name for own in names for name in own.values()))
+        header.set_text(PICTURE_ATTRIBUTE, ",".join(name for own in names for name in own.values()))
         return [picture_part(header, _join(header, order, readers)), *rest]
 
     def _names(self, number: int, is_layered: bool) -> dict[str, str]:
@@ -113,7 +112,7 @@ class _ViewMerge:
         found = {name: name for name in own}
         if view:  # OpenEXR has views before the last word of a name
             found |= {name: f"overlay.{view}.{name[-1]}" for name in own if name.startswith("overlay.")}
-        return found | dict(zip(_LETTERS, colour.channels, strict=True)) | ({"A": alpha} if "A" in own else {})
+        return found | dict(zip(RGB_LETTERS, colour.channels, strict=True)) | ({"A": alpha} if "A" in own else {})
 
     def _kept_channels(self, index: int, written: set[str]) -> list[ChannelInfo]:
         """Channels of the source's part that are no picture's and stay."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from postfx.caching import LRUCache
-from postfx.colour import WIDER
+from postfx.colour import TO_WIDER_PRIMARIES
 from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.colour import CONVERT_PRIMARIES
 from postfx.kernels.denoise import HIDDEN
@@ -357,7 +357,7 @@ class WiderPrimaries:
         name = f"{name} in {'wider' if wider else 'its'} primaries"
         if wider not in self._matrices:
             self._matrices[wider] = self._device.heap.tensor("primaries", (9,))
-            self._matrices[wider].upload((WIDER if wider else np.linalg.inv(WIDER)).ravel())
+            self._matrices[wider].upload((TO_WIDER_PRIMARIES if wider else np.linalg.inv(TO_WIDER_PRIMARIES)).ravel())
         if name not in self._made:
             self._made[name] = self._device.heap.transient(name, colour.shape)
         commands.run(CONVERT_PRIMARIES, "primaries", colour=colour, matrix=self._matrices[wider],
@@ -375,7 +375,7 @@ def widen_history(history: Mapping[str, np.ndarray], parts: Sequence[Part]) -> d
         kind, _, name = key.removeprefix("part ").partition(" of ")
         if kind in (CODED, *UNCODED) and name in lights:
             light = np.expm1(array[..., :3]) if kind == CODED else array[..., :3]
-            wider = np.maximum(light @ WIDER.T.astype(np.float32), 0)
+            wider = np.maximum(light @ TO_WIDER_PRIMARIES.T.astype(np.float32), 0)
             found[key] = np.concatenate([np.log1p(wider) if kind == CODED else wider, array[..., 3:]], -1)
     return found
 

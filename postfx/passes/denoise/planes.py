@@ -17,7 +17,7 @@ from postfx.kernels.denoise.alpha import CORRECT, FIT, GATHER
 from postfx.kernels.denoise.history import REACTIVE
 from postfx.kernels.denoise.output import DETAIL, JUDGE, RESTORE, STRENGTH, SUMS, TILE
 from postfx.kernels.denoise.prepare import DILATE
-from postfx.kernels.image import ENLARGE, RESAMPLE, positions
+from postfx.kernels.image import ENLARGE_OVERLAY, RESAMPLE, positions
 from postfx.kernels.partner import ENLARGE_MOTION
 from postfx.kernels.statistics import bounds_of_cells, coverage_noise
 from postfx.passes import ResidentFrame
@@ -51,7 +51,7 @@ class Resampler:
         self._rows, self._columns = new(f"{name} rows", out_size[:1]), new(f"{name} columns", out_size[1:])
         self._aimed: tuple[tuple[float, float], tuple[float, float]] | None = None
         self.output = device.heap.transient(name, (*out_size, ROLES[role].channels))
-        self._kernel = ENLARGE if role is Role.OVERLAY else RESAMPLE
+        self._kernel = ENLARGE_OVERLAY if role is Role.OVERLAY else RESAMPLE
         device.make_ready(self._kernel)
 
     def encode(self, commands: CommandBuffer, label: str, image: Tensor, jitter: tuple[float, float],
