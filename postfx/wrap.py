@@ -16,7 +16,7 @@ import numpy as np
 from postfx.errors import FrameError, PassOptionError
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes import Pass
-from postfx.passes.denoise.tiling import GRID
+from postfx.passes.denoise.tiling import SIDE_MULTIPLE
 from postfx.plan import Plan, make_plan
 
 WRAP_AUTO = "auto"
@@ -51,8 +51,8 @@ def widened_plan(passes: Sequence[Pass], plan: Plan) -> tuple[Plan, int]:
     """
     spec, output = plan.available, plan.output
     sizes = [output.width, *([spec.guides.width] if spec.guides else [])]
-    least = -(-max(LEAST_MARGIN, spec.width // MARGINS_A_WIDTH) // GRID) * GRID
-    fitting = (margin for margin in range(least, least + MOST_STEPS * GRID, GRID)
+    least = -(-max(LEAST_MARGIN, spec.width // MARGINS_A_WIDTH) // SIDE_MULTIPLE) * SIDE_MULTIPLE
+    fitting = (margin for margin in range(least, least + MOST_STEPS * SIDE_MULTIPLE, SIDE_MULTIPLE)
                if not any(margin * size % spec.width for size in sizes))
     margin = next(fitting, None)
     try:

@@ -11,7 +11,7 @@ from postfx.kernels import Kernel, find_source
 from postfx.kernels.denoise import IN_HALF
 from postfx.kernels.denoise.output import DETAIL, JUDGE, TILE
 from postfx.kernels.denoise.pyramid import FILTER_MIXED, FILTER_SHADED, POOLS
-from postfx.passes.denoise.planes import NEAR
+from postfx.passes.denoise.planes import NEAR_ALPHA
 from postfx.runtime import Device
 from postfx.runtime.device import cuda_fault
 from tests.kernels import host_cuda, tonemap_cases
@@ -20,7 +20,7 @@ from tests.kernels.test_denoise_kernels import assert_same
 
 pytestmark = pytest.mark.skipif(host_cuda.COMPILER is None, reason="no g++")
 
-ON_GPU = [POOLS, FILTER_MIXED, FILTER_SHADED, NEAR, *IN_HALF.values()]
+ON_GPU = [POOLS, FILTER_MIXED, FILTER_SHADED, NEAR_ALPHA, *IN_HALF.values()]
 """Kernels that run on a GPU alone."""
 WRITTEN = [*(kernel for kernel in (*KERNELS, *IN_ROWS_ALONE) if find_source(kernel)), *ON_GPU]
 

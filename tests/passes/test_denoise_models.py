@@ -12,7 +12,7 @@ import pytest
 from postfx.errors import ModelError, PassOptionError, PostfxError
 from postfx.frame import FrameSpec, Role
 from postfx.passes.denoise import DenoiseUpscale, graph
-from postfx.passes.denoise.graph import ALPHA, FRAME, LAYERS, WINDOW, kernels_of
+from postfx.passes.denoise.graph import ALPHA, FRAME_NEEDS, LAYER_STEPS, WINDOW_STEPS, kernels_of
 from postfx.passes.denoise.models import CLASSIC, GUIDED, exact, family, model_of, split_ending, validate_tag
 from postfx.pipeline import Pipeline
 from postfx.runs.run import provenance_of
@@ -164,12 +164,12 @@ def test_a_file_that_is_no_denoiser(tmp_path: Path) -> None:
 ])
 def test_words_choose_the_steps_of_a_window(words, half, kernels):
     """The orders of frames without guides and with them, in 8 bits, in half precision on a GPU, and of a picture."""
-    found = kernels_of(WINDOW, frozenset(words.split()), half)
+    found = kernels_of(WINDOW_STEPS, frozenset(words.split()), half)
     assert [kernel.name for kernel in found] == [f"denoise_{name}" for name in kernels.split()]
 
 
 def test_all_words_of_steps_are_explained():
-    tables = (FRAME, WINDOW, LAYERS, ALPHA, graph.CLASSIC)
+    tables = (FRAME_NEEDS, WINDOW_STEPS, LAYER_STEPS, ALPHA, graph.CLASSIC_STEPS)
     steps = [one for table in tables for some in table.values() for one in some]
     words = {word for one in steps for word in one.when | one.unless}
     assert {"moves", "gpu", "divided"} < words

@@ -15,7 +15,7 @@ from postfx.integrate import jitter_sequence
 from postfx.passes import MOST_SIZES
 from postfx.passes.denoise import DenoiseUpscale
 from postfx.passes.denoise.frame import Frames
-from postfx.passes.denoise.history import CHANNELS, Room
+from postfx.passes.denoise.history import STATE_CHANNELS, Room
 from postfx.passes.denoise.tiling import Sizes
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
@@ -134,7 +134,7 @@ def test_the_history_has_room_for_larger_frames_too(device: Device) -> None:
 
 
 def test_nothing_of_the_memory_is_taken_for_another_size() -> None:
-    room = Room(Device("cpu", threads=1), 12, CHANNELS)
+    room = Room(Device("cpu", threads=1), 12, STATE_CHANNELS)
     wide, high = room.of((2, 6)), room.of((4, 3))
     assert wide["state"].shape == (2, 6, 12) and high["last_depth"].shape == (4, 3, 1)
     assert room.of((2, 6)) is wide

@@ -10,7 +10,7 @@ import pytest
 from postfx.bench.baselines import HostKernels
 from postfx.frame import Frame, Role
 from postfx.kernels.denoise.output import ASSEMBLE
-from postfx.passes.denoise.tiling import GRID
+from postfx.passes.denoise.tiling import SIDE_MULTIPLE
 from postfx.runtime import Device
 from tests.kernels import host_cuda
 from tests.passes.denoise_frames import noisy
@@ -18,7 +18,7 @@ from tests.passes.test_denoise_strength_golden import blended64
 from tests.stress.bounds import bounds
 from tests.stress.scenes import colours, on, portable
 
-SIZE = 10 * GRID + 1, 16 * GRID + 1
+SIZE = 10 * SIDE_MULTIPLE + 1, 16 * SIDE_MULTIPLE + 1
 """Of a frame whose last tile is one pixel."""
 PIXELS = {"in the middle": (80, 100), "first": (0, 0), "last": (-1, -1), "last of a row": (47, -1)}
 

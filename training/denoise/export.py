@@ -41,7 +41,7 @@ from postfx.kernels.denoise.upsample import BLEND_PICTURE, UPSAMPLE, UPSAMPLE_GU
 from postfx.kernels.image import ENLARGE_OVERLAY, OVER, OVER_ALPHA, RESAMPLE
 from postfx.kernels.partner import ENLARGE_MOTION, MIX_PARTNER
 from postfx.passes.denoise.models import GUIDED, UNSCALED, split_ending
-from postfx.passes.denoise.network import CONTROLS, ERROR, FEATURE_PARTS, FINE_LOGITS, PHASED_FINE, PICTURE
+from postfx.passes.denoise.network import CONTROLS_NAME, ERROR, FEATURE_PARTS, FINE_LOGITS, PHASED_FINE, PICTURE
 from training.denoise.model import LEVELS, Trunk, TrunkConfig, filters, stem
 from training.denoise.picture import PictureConfig, PictureNetwork, layout_from
 from training.denoise.residual import (
@@ -63,14 +63,14 @@ MEANING = {
     PHASED_FINE: f"{CONTENT}; of each the four phases of 2x2 pixels",
     FINE_LOGITS: CONTENT,
     PICTURE: "log(1 + exposed colour)",
-    CONTROLS: f"share of the picture beside the history, distrust of what was accumulated, 1, hidden state {HIDDEN}",
+    CONTROLS_NAME: f"share of the picture beside the history, distrust of what was accumulated, 1, hidden state {HIDDEN}",
     ERROR: "natural logarithm of the expected squared error of each pixel, in sRGB code values of x / (1 + x)",
     "level": f"5x5 kernel {KERNEL}, mix; level i is height / 2^i by width / 2^i",
     "level4": f"5x5 kernel {KERNEL}",
 }
 Layout = TrunkConfig | ResidualConfig | PictureConfig
 Network = Trunk | ResidualTrunk | PictureNetwork
-COUNTS = {PHASED_FINE: 4 * FINE, FINE_LOGITS: FINE, PICTURE: 3, CONTROLS: CONTROL_COUNT, ERROR: 1, "level4": KERNEL}
+COUNTS = {PHASED_FINE: 4 * FINE, FINE_LOGITS: FINE, PICTURE: 3, CONTROLS_NAME: CONTROL_COUNT, ERROR: 1, "level4": KERNEL}
 """Channels of the outputs; other levels have a mix, too."""
 ALIKE = "the same at all pixels"
 HALO = 80
@@ -179,7 +179,7 @@ def outputs(config: Layout) -> tuple[str, ...]:
     """Names of the network's outputs."""
     levels = tuple(f"level{level}" for level in range(1, LEVELS + 1))
     if isinstance(config, PictureConfig):
-        return PICTURE, CONTROLS, ERROR
+        return PICTURE, CONTROLS_NAME, ERROR
     if not isinstance(config, ResidualConfig):
         return PHASED_FINE, *levels
     return FINE_LOGITS, *levels, *((ERROR,) if config.mirrored else ())
@@ -326,7 +326,7 @@ def _output(config: Layout, name: str) -> dict[str, Any]:
     meaning = MEANING.get(name, MEANING["level"])
     if not has_level(config, name):
         return {"shape": [1, _channels(name), 1, 1], "meaning": f"{meaning}; {ALIKE}", "constant": True}
-    if name in (FINE_LOGITS, PICTURE, CONTROLS, ERROR):
+    if name in (FINE_LOGITS, PICTURE, CONTROLS_NAME, ERROR):
         return {"shape": [1, _channels(name), "height", "width"], "meaning": meaning}
     level = 1 if name == PHASED_FINE else int(name[-1])
     return {"shape": [1, _channels(name), f"height/{2**level}", f"width/{2**level}"], "meaning": meaning}

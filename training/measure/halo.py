@@ -21,7 +21,7 @@ import numpy as np
 from postfx import DenoiseUpscale, Device, Frame, Pipeline, Role, read_sequence
 from postfx.frame import GUIDE_ROLES
 from postfx.passes.denoise import frame as windows
-from postfx.passes.denoise.tiling import GRID, REACH
+from postfx.passes.denoise.tiling import SIDE_MULTIPLE, STRENGTH_REACH_PX
 
 GAMMA = 1 / 2.2
 WINDOWS = 8
@@ -52,8 +52,8 @@ def guided(frame: Frame, scale: int) -> Frame:
 def rows_for(halo: int, height: int) -> list[int]:
     """How many rows to denoise, so that their windows end a halo below, on the grid and within the
     frame."""
-    ends = range(GRID, height - GRID, GRID)
-    return [end - halo - REACH for end in ends if end - halo - REACH > 2 * REACH][:WINDOWS]
+    ends = range(SIDE_MULTIPLE, height - SIDE_MULTIPLE, SIDE_MULTIPLE)
+    return [end - halo - STRENGTH_REACH_PX for end in ends if end - halo - STRENGTH_REACH_PX > 2 * STRENGTH_REACH_PX][:WINDOWS]
 
 
 def difference(
@@ -70,7 +70,7 @@ def difference(
             continue
         scale = len(colour) // frame[Role.COLOUR].shape[0]
         error = np.abs(seen(colour, exposure) - seen(whole, exposure))
-        found.append(float(error[:(rows - REACH) * scale].max()))
+        found.append(float(error[:(rows - STRENGTH_REACH_PX) * scale].max()))
     if not found:
         rows = frame[Role.COLOUR].shape[0]
         raise ValueError(f"a frame of {rows} rows has no window with a halo of {halo}")

@@ -42,12 +42,12 @@ from postfx.passes.denoise.models import (
 )
 from postfx.passes.denoise.options import Size, output_size, parse_reactive, validate_scale, validate_size
 from postfx.passes.denoise.parts import checked_parts, has_noisy_alpha
-from postfx.passes.denoise.planes import ABSENT, MIRRORED, passthrough_roles
+from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES, passthrough_roles
 from postfx.passes.denoise.tiling import Sizes, active_cells, whole_tiles
 from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
 
-PLANES = tuple(ABSENT)
+READ_PLANES = tuple(ABSENT)
 NO_NETWORKS = ("the package onnxruntime is missing, so the classical filter stands in for the network, and more noise "
                "stays: install it, or accept that by the model classic")
 ALONE = "no motion vectors, so every frame is denoised alone and may flicker"
@@ -56,9 +56,9 @@ SHARPENING = Role.DIFFUSE_ALBEDO, Role.NORMAL, Role.DEPTH
 """Planes without which results are 0.2 dB worse or more; the others are worth less than a line."""
 PART_FILTERS = "picture", "own"
 """Values of the option `part_filters`: whose filters parts get."""
-NETWORK = "network "
+NETWORK_PREFIX = "network "
 """In a history, the name of the network's entry ends in the network's tag."""
-LARGEST = "l"
+LARGEST_TAG = "l"
 """Tag of the largest network that comes with postfx."""
 WIDER = "wider primaries"
 """In a history, whether its light is in wider primaries than the frames'."""
@@ -162,8 +162,8 @@ class DenoiseUpscale(Pass):
         output = FrameSpec(size.width, size.height, written)
         lost = tuple(role for role in GUIDE_ROLES if not spec.has(role))
         guides = GUIDE_ROLES if self._reads_guides(spec) else lost
-        planes = (*PLANES, Role.STRENGTH, *self._reactive_planes(spec)) if self.strength else ()
-        planes += tuple(MIRRORED) if planes and self._reads_mirrored(spec) else ()
+        planes = (*READ_PLANES, Role.STRENGTH, *self._reactive_planes(spec)) if self.strength else ()
+        planes += tuple(MIRRORED_ROLES) if planes and self._reads_mirrored(spec) else ()
         planes += (Role.SPECULAR_HIT_DISTANCE,) if planes and can_follow(spec) else ()
         demanded = self._mask.demands() if self.strength else ()
         kept = [role for role in carried if role not in spec.guide_roles]
@@ -295,7 +295,7 @@ class DenoiseUpscale(Pass):
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._fresh):
             return {}
-        known = {"exposure": np.array(self._exposure, np.float64), f"{NETWORK}{self._used}": np.array(1, np.int64),
+        known = {"exposure": np.array(self._exposure, np.float64), f"{NETWORK_PREFIX}{self._used}": np.array(1, np.int64),
                  WIDER: np.array(self._wider, np.int64)}
         known |= {f"{REPEATS}{name}": array for name, array in self._repeats.history().items()}
         return known | self._cameras.snapshot() | self._history.snapshot() | self._part_history.snapshot()
@@ -307,7 +307,7 @@ class DenoiseUpscale(Pass):
             self._exposure, self._wider = float(history["exposure"]), bool(history.get(WIDER, False))
             if not isinstance(self._ready, ReadyNetwork):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
-            self._used = next(iter(key.removeprefix(NETWORK) for key in history if key.startswith(NETWORK)), "")
+            self._used = next(iter(key.removeprefix(NETWORK_PREFIX) for key in history if key.startswith(NETWORK_PREFIX)), "")
             self._history.use(self._ready.models[self._used])
             self._history.recall(history)
             self._part_history.recall(history)
@@ -328,7 +328,7 @@ class DenoiseUpscale(Pass):
         if isinstance(ready, ReadyNetwork) and ready.error:
             frame.set(Role.ERROR, ready.error.encode(commands, frame))
         ready.passthrough.encode(commands, frame)
-        for role in (*PLANES, *MIRRORED, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
+        for role in (*READ_PLANES, *MIRRORED_ROLES, Role.STRENGTH, Role.REACTIVE, Role.OPAQUE_COLOUR, Role.SPECULAR_HIT_DISTANCE):
             if not self._output.has(role):
                 frame.tensors.pop(role, None)
         frame.guides.clear()
@@ -493,7 +493,7 @@ class DenoiseUpscale(Pass):
 
     def _error_remedy(self) -> str:
         """What to do about it: a network that predicts it at the render size, where one comes with postfx."""
-        able = [tag for tag in family(LARGEST) if predicts_error(model_of(tag, UNSCALED))]
+        able = [tag for tag in family(LARGEST_TAG) if predicts_error(model_of(tag, UNSCALED))]
         return f"give model '{able[-1]}' and scale 1, or leave the error out" if able else "leave the error out"
 
     def _reads_mirrored(self, spec: FrameSpec) -> bool:

@@ -20,7 +20,7 @@ from postfx.kernels.denoise import HIDDEN
 from postfx.kernels.denoise.output import ASSEMBLE
 from postfx.kernels.statistics import OUTSIDE, light_outside, lit_cells
 from postfx.passes import ResidentFrame
-from postfx.passes.denoise.graph import FRAME, Layer, WindowGraph, kernels_of, run_steps
+from postfx.passes.denoise.graph import FRAME_NEEDS, Layer, WindowGraph, kernels_of, run_steps
 from postfx.passes.denoise.history import WHOLE, History, PartHistory, Reflections, can_follow
 from postfx.passes.denoise.models import (
     CLASSIC,
@@ -38,8 +38,8 @@ from postfx.passes.denoise.planes import ExpectedError, Passthrough, Plain, Plan
 from postfx.passes.denoise.tiling import (
     CELL,
     FIXED,
-    GAIN,
     GPU_FIXED,
+    WORTH_TIME_SHARE,
     Band,
     Rows,
     Shape,
@@ -59,12 +59,12 @@ from postfx.passes.denoise.tiling import (
 )
 from postfx.runtime import CommandBuffer, Device, Tensor
 
-MOST_PLACES = 64
-OUT = ("output", "next_history", "light")
+MOST_WINDOW_PLACES = 64
+OUTPUT_PREFIXES = ("output", "next_history", "light")
 """Names of outputs at output size begin so; the rest has render size."""
-ERROR = "error"
+ERROR_NAME = "error"
 """Name of what the network expects to be off, where it is asked for."""
-CHANNELS = {"output": 3, "next_history": 3, "next_state": 4 + HIDDEN, "next_depth": 1}
+OUTPUT_CHANNELS = {"output": 3, "next_history": 3, "next_state": 4 + HIDDEN, "next_depth": 1}
 
 
 class Assembly:
@@ -90,7 +90,7 @@ class Assembly:
         self._tiles = {}
         for name in names:
             channels = targets[name].shape[2]
-            size = (window.out.rows, window.out.columns) if name.startswith(OUT) else (window.rows, window.columns)
+            size = (window.out.rows, window.out.columns) if name.startswith(OUTPUT_PREFIXES) else (window.rows, window.columns)
             one = size[0] * size[1] * channels
             stack = self._stacks.get(name)
             if stack is None or stack.shape[0] < len(tiles) * one:
@@ -112,7 +112,7 @@ class Assembly:
         exact = all(row * frame.height == at * frame.h for row, at in zip(rows, out_rows, strict=True))
         if len(band.tiles) > 1 or window.columns < frame.w or rows != kept or not exact:
             return None
-        return {name: rows_of(targets[name], out_rows if name.startswith(OUT) else rows)
+        return {name: rows_of(targets[name], out_rows if name.startswith(OUTPUT_PREFIXES) else rows)
                 for name in _put_together(targets)}
 
     def encode(self, commands: CommandBuffer, band: Band, targets: dict[str, Tensor], kept: Rows) -> None:
@@ -121,14 +121,14 @@ class Assembly:
         too."""
         layered = any(name.startswith("light") for name in self._tiles)
         for name, tiles in self._tiles.items():
-            rows, out = band.own if name == "output" and not layered else kept, name.startswith(OUT)
+            rows, out = band.own if name == "output" and not layered else kept, name.startswith(OUTPUT_PREFIXES)
             picture = rows_of(targets[name], self._sized(rows, out))
             commands.run(ASSEMBLE, "assemble", tiles=tiles, picture=picture, **self._place(band, rows, out))
 
     def _place(self, band: Band, rows: Rows, out: bool) -> dict[str, Tensor]:
         key = band, rows, out
         if key not in self._places:
-            if len(self._places) == MOST_PLACES:
+            if len(self._places) == MOST_WINDOW_PLACES:
                 self._places.clear()
             place = self._out_place if out else self._render_place
             values = {"places": [place(tile) for tile in band.tiles], "frame_rows": np.arange(*self._sized(rows, out)),
@@ -172,7 +172,7 @@ class Assembly:
 
 def _put_together(targets: Mapping[str, Tensor]) -> tuple[str, ...]:
     """Names of the tensors that tiles write."""
-    return (*CHANNELS, *(name for name in targets if name.startswith(("light ", "next_part ")) or name == ERROR))
+    return (*OUTPUT_CHANNELS, *(name for name in targets if name.startswith(("light ", "next_part ")) or name == ERROR_NAME))
 
 
 MOST_GRAPHS = 4
@@ -208,7 +208,7 @@ class Frames:
         self._kept: bool | None = None  # what the tensor 'keep' holds
         self._output = between("output", (sizes.height, sizes.width, 3))
         self._assembly = Assembly(device, sizes)
-        device.make_ready(*kernels_of(FRAME, frozenset({"reactive"} if reactive else ())))
+        device.make_ready(*kernels_of(FRAME_NEEDS, frozenset({"reactive"} if reactive else ())))
         self.model = models[0]
 
     def use(self, model: str) -> None:
@@ -233,7 +233,7 @@ class Frames:
             fits = shape[0] <= self._band_shape[0] and shape[1] <= self._band_shape[1]
             return band_of(self._sizes, boxes, self._band_shape, self._halo) if fits else None
         count, least = len(boxes), time(shape, len(boxes))
-        if least > GAIN * time((self._sizes.h, self._sizes.w), 1):
+        if least > WORTH_TIME_SHARE * time((self._sizes.h, self._sizes.w), 1):
             return None
         ready = [one for one in self._graphs
                  if can_serve(self._sizes, shape, one) and time(one, count) <= CLOSE * least]
@@ -273,7 +273,7 @@ class Frames:
     def _record(self, commands: CommandBuffer, seen: Mapping[str, Tensor], targets: dict[str, Tensor], moves: bool,
                 masked: bool, band: Band | None, kept: Rows, layers: Sequence[Layer]) -> None:
         words = frozenset({"reactive"} if self._reactive else ())
-        run_steps(commands, FRAME, words, {**seen, **targets})
+        run_steps(commands, FRAME_NEEDS, words, {**seen, **targets})
         if band is None and self._whole:
             self._whole.encode(commands, self._window, self.model, {**seen, **targets}, moves, masked, layers)
         for some in [band] if band else self._bands:
@@ -317,7 +317,7 @@ class Frames:
 COLOURS = (Role.COLOUR, Role.OPAQUE_COLOUR, Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 """Light, and what is compared with it or multiplied by it."""
 
-CODED, UNCODED = "next_history", ("next_state", "history", "last_part")
+LOGARITHMIC_LIGHT, PLAIN_LIGHT = "next_history", ("next_state", "history", "last_part")
 """In a history, light by its logarithm, log(1 + light), and light as it is, in the first three channels."""
 
 
@@ -373,10 +373,10 @@ def widen_history(history: Mapping[str, np.ndarray], parts: Sequence[Part]) -> d
     lights, found = {"", WHOLE, *(part.name for part in parts if part.is_light)}, dict(history)
     for key, array in history.items():
         kind, _, name = key.removeprefix("part ").partition(" of ")
-        if kind in (CODED, *UNCODED) and name in lights:
-            light = np.expm1(array[..., :3]) if kind == CODED else array[..., :3]
+        if kind in (LOGARITHMIC_LIGHT, *PLAIN_LIGHT) and name in lights:
+            light = np.expm1(array[..., :3]) if kind == LOGARITHMIC_LIGHT else array[..., :3]
             wider = np.maximum(light @ TO_WIDER_PRIMARIES.T.astype(np.float32), 0)
-            found[key] = np.concatenate([np.log1p(wider) if kind == CODED else wider, array[..., 3:]], -1)
+            found[key] = np.concatenate([np.log1p(wider) if kind == LOGARITHMIC_LIGHT else wider, array[..., 3:]], -1)
     return found
 
 

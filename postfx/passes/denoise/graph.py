@@ -2,9 +2,9 @@
 
     planes.py      brings planes and guides to the sizes that are read, makes the reactive mask;
                    history.py finds the motion of reflections
-    FRAME          runs once a frame
-    WINDOW         takes the picture of each window through a network; or CLASSIC does, without one
-    LAYERS, ALPHA  filter what lies beside the picture in the same window
+    FRAME_STEPS    run once a frame
+    WINDOW_STEPS   take the picture of each window through a network; or CLASSIC_STEPS do, without one
+    LAYER_STEPS    filter what lies beside the picture in the same window, and so do ALPHA_STEPS
     frame.py       puts windows together
     planes.py      gives detail back, blends with the input by strength, corrects alpha, resamples
                    what passes through
@@ -77,7 +77,7 @@ from postfx.passes.denoise.history import ALPHA_LAYER, alone, one_of, some_of
 from postfx.passes.denoise.models import CLASSIC as CLASSIC_MODEL
 from postfx.passes.denoise.models import doubts_planes, load_network
 from postfx.passes.denoise.network import (
-    CONTROLS,
+    CONTROLS_NAME,
     ERROR,
     PICTURE,
     PRODUCTS,
@@ -93,7 +93,7 @@ from postfx.passes.denoise.network import (
 from postfx.passes.denoise.tiling import LEVELS, Window
 from postfx.runtime import CommandBuffer, Device, PipelineState, Tensor
 
-PLAIN, GUIDES, UNSCALED, GIVEN = "plain", "guides", "unscaled", "given"
+PLAIN, GUIDES_KIND, UNSCALED_KIND, GIVEN = "plain", "guides", "unscaled", "given"
 
 
 class Step(NamedTuple):
@@ -185,21 +185,21 @@ ENLARGE: Steps = (
     step(CODES_GUIDED, "guides coded", radiance="radiance guides"),
     step(UPSAMPLE_UNSCALED, "unscaled", "coded", radiance="radiance unscaled"),
     step(CODES_UNSCALED, "unscaled coded", radiance="radiance unscaled"),
-    step(BLEND_PICTURE, "given", picture=f"head {PICTURE}", controls=f"head {CONTROLS}"),
+    step(BLEND_PICTURE, "given", picture=f"head {PICTURE}", controls=f"head {CONTROLS_NAME}"),
     step(OPEN_ERROR, "error", log_error=f"head {ERROR}"))
-FRAME: dict[str, Steps] = {"scale": (step(SCALE), step(SPREAD_MASK, "reactive"))}
+FRAME_NEEDS: dict[str, Steps] = {"scale": (step(SCALE), step(SPREAD_MASK, "reactive"))}
 """What windows need of the whole frame, by the labels of encoders."""
-NETWORK = "network"
+NETWORK_LABEL = "network"
 SOMETIMES = frozenset({"moves", "masked", ERROR})
 """Words that hold in some frames of a window and not in others."""
-WINDOW: dict[str, Steps] = {
+WINDOW_STEPS: dict[str, Steps] = {
     "prepare": PREPARE,
-    NETWORK: (),
+    NETWORK_LABEL: (),
     "filter": ACCUMULATE_AND_FILTER,
     "upsample": ENLARGE}
 """The picture of a window, by the labels of encoders. In between its network runs, with what packs and
 opens."""
-LAYERS: dict[str, Steps] = {"parts": (
+LAYER_STEPS: dict[str, Steps] = {"parts": (
     each(REFLECT, "filtered divided"),
     each(ACCUMULATE_PART, "filtered"),
     *(one._replace(when=one.when | {"filtered"}) for one in PYRAMID),
@@ -210,7 +210,7 @@ ALPHA: dict[str, Steps] = {"alpha": (
     step(LEVEL, level="pool 0"),
     *PYRAMID,
     step(ENLARGE_ALPHA, filtered="filtered 0"))}
-CLASSIC: dict[str, Steps] = {
+CLASSIC_STEPS: dict[str, Steps] = {
     "prepare": (step(DILATE), step(KEEP, "masked"), step(GATHER, light="smooth 0")),
     "filter": tuple(
         step(ATROUS, light=f"smooth {k % 2}", smooth=f"smooth {1 - k % 2}", step=f"step {far}")
@@ -218,7 +218,7 @@ CLASSIC: dict[str, Steps] = {
     "upsample": (step(RESOLVE, light=f"smooth {len(STEPS) % 2}"),)}
 
 Buffers = Mapping[str, Tensor]
-WHOLE, HALF, CODED = range(3)
+WHOLE_FORM, HALF_FORM, CODED_FORM = range(3)
 """Forms of the fine head: in float32, in half precision beside such a network on a GPU, and made row by row in the
 kernels that read it, which leaves its last channels alone in memory."""
 MOST_PLACES = 64
@@ -307,7 +307,7 @@ class WindowGraph:
         for state in states.values():
             check_bindings(state)
         self._forms = {
-            model: HALF if is_half(state) else CODED if state.products and not whole else WHOLE
+            model: HALF_FORM if is_half(state) else CODED_FORM if state.products and not whole else WHOLE_FORM
             for model, state in states.items()}
         self._places: LRUCache[Window, dict[str, Tensor]] = LRUCache(MOST_PLACES)
         between = cache(self._new)  # of several networks only one runs in a frame
@@ -320,7 +320,7 @@ class WindowGraph:
         seen = {name: shape for state in states.values() for name, shape in seen_by(state).items()}
         read = {name: self._new(name, shape) for name, shape in seen.items()}
         read |= {name: between(name, state.shapes[name], "float16")
-                 for model, state in states.items() if self._forms[model] == HALF
+                 for model, state in states.items() if self._forms[model] == HALF_FORM
                  for name in IN_HALF[FEATURE].writes if name in state.shapes}
         if states:
             self._made |= read | self._pyramid_buffers(self._new("level 0", (4, *window.level(0))))
@@ -330,9 +330,9 @@ class WindowGraph:
         may = SOMETIMES - (frozenset() if reactive else {"masked"})
         for model, words in self._words.items():
             some = may if ERROR in self._heads[model] else may - {ERROR}
-            device.make_ready(*kernels_of(WINDOW, words | some, self._forms[model] == HALF))
+            device.make_ready(*kernels_of(WINDOW_STEPS, words | some, self._forms[model] == HALF_FORM))
         if CLASSIC_MODEL in models:
-            device.make_ready(*kernels_of(CLASSIC, may))
+            device.make_ready(*kernels_of(CLASSIC_STEPS, may))
         self._layer_buffers: dict[int, dict[str, Tensor]] = {}
 
     def encode(self, commands: CommandBuffer, window: Window, model: str, tensors: Buffers,
@@ -355,7 +355,7 @@ class WindowGraph:
         own = {"keep": self._made["keep"] if masked else tensors["keep"]}
         if model == CLASSIC_MODEL:
             buffers = ChainMap(own, self._place(window), dict(tensors), self._made)
-            run_steps(commands, CLASSIC, words, buffers)
+            run_steps(commands, CLASSIC_STEPS, words, buffers)
             return
         network, heads = self._networks[model], self._heads[model]
         own |= {"warped": self._made["warped"] if moves else tensors["history"],
@@ -363,9 +363,9 @@ class WindowGraph:
                 "fine": heads["fine"], **{f"head {name}": head for name, head in heads.items()},
                 **network.coded, **network.stored}
         buffers = ChainMap(own, self._place(window), dict(tensors), self._made)
-        words, half = words | self._words[model], self._forms[model] == HALF
-        for label, steps in WINDOW.items():
-            if label == NETWORK:
+        words, half = words | self._words[model], self._forms[model] == HALF_FORM
+        for label, steps in WINDOW_STEPS.items():
+            if label == NETWORK_LABEL:
                 network.encode(commands)
             run_steps(commands, {label: steps}, words, buffers, half)
         at_once = window == Window.whole(window.frame) and not self._device.scratch
@@ -392,7 +392,7 @@ class WindowGraph:
             words |= {"filtered"}
         else:
             own["radiance"] = self._shaded(model)
-        run_steps(commands, LAYERS, words, seen.new_child(own), half, shares)
+        run_steps(commands, LAYER_STEPS, words, seen.new_child(own), half, shares)
 
     def _share(self, layer: Layer, i: int, stacks: Buffers, buffers: Buffers) -> Each:
         """What kernels of one layer read and write, the `i`-th of some."""
@@ -408,7 +408,7 @@ class WindowGraph:
         end, network = self._ends[model], self._networks[model]
         holding = {end: True, "guided": self._guided, "mirrored": "mirrored" in seen_by(state),
                    "doubts": model in self._doubting, "stored": bool(network.stored),
-                   "coded": self._forms[model] == CODED, "gpu": bool(self._device.gpu),
+                   "coded": self._forms[model] == CODED_FORM, "gpu": bool(self._device.gpu),
                    "shaded": bool(self._device.gpu) and end == PLAIN}
         return frozenset(word for word, holds in holding.items() if holds)
 
@@ -417,7 +417,7 @@ class WindowGraph:
         unscaled = (frame.h, frame.w) == (frame.height, frame.width)
         if PICTURE in self._heads[model]:
             return GIVEN
-        return GUIDES if self._guided else UNSCALED if unscaled and model in self._doubting else PLAIN
+        return GUIDES_KIND if self._guided else UNSCALED_KIND if unscaled and model in self._doubting else PLAIN
 
     def _new(self, name: str, shape: tuple[int, ...], dtype: str = "float32") -> Tensor:
         return self._device.heap.transient(name, shape, dtype)
@@ -425,8 +425,8 @@ class WindowGraph:
     def _heads_of(self, network: PipelineState, form: int, between: Callable[..., Tensor]) -> dict[str, Tensor]:
         """The heads that the filters read, by name; for levels that the network does not compute, their constants."""
         shapes, products = heads_of(network), f"{PRODUCTS}fine"
-        dtype = "float16" if form == HALF else "float32"
-        if form == CODED:
+        dtype = "float16" if form == HALF_FORM else "float32"
+        if form == CODED_FORM:
             shapes["fine"] = (1, FINE - MIX, *shapes["fine"][2:])
         heads = {name: between(name, shape, dtype) for name, shape in shapes.items()}
         if products in network.shapes and self._device.runs_rows:
@@ -435,7 +435,7 @@ class WindowGraph:
             heads |= {"fine": both.view("fine", shapes["fine"]),
                       products: both.view(products, network.shapes[products], behind, "int32")}
         if PICTURE in heads:
-            heads["fine"] = heads[CONTROLS]
+            heads["fine"] = heads[CONTROLS_NAME]
         for name, values in alike_heads(network).items():
             size = (1, values.shape[1], *self._window.level(int(name[-1])))
             heads[name] = upload(self._device.heap, name, np.broadcast_to(values, size).astype(dtype), dtype)

@@ -22,7 +22,7 @@ from postfx.runtime import CommandBuffer, Device, Tensor
 
 NEXT = {"history": "next_history", "state": "next_state", "last_depth": "next_depth", "last_reactive": "next_reactive"}
 """Tensor of the last frame that kernels read -> tensor that they write for the next one."""
-CHANNELS = {"state": 4 + HIDDEN, "last_depth": 1}
+STATE_CHANNELS = {"state": 4 + HIDDEN, "last_depth": 1}
 """For tensors of render size."""
 
 
@@ -52,7 +52,7 @@ class History:
 
     def __init__(self, device: Device, sizes: Sizes, reactive: bool) -> None:
         self._device, self._size, self._output = device, (sizes.h, sizes.w), (sizes.height, sizes.width)
-        self._channels = CHANNELS | ({"last_reactive": 1} if reactive else {})
+        self._channels = STATE_CHANNELS | ({"last_reactive": 1} if reactive else {})
         self._outputs = [self._make_output()]
         self._rooms = self._make_rooms()
         self._held = self._anywhere()

@@ -18,7 +18,7 @@ PASS = "denoise_upscale"
 HEADS = {"raw_fine": Head("fine", FINE, BLEND, MEMORY, side=2)} | {
     f"raw_level{level}": Head(f"level{level}", KERNEL + 1, KERNEL, KERNEL + 1) for level in range(1, LEVELS + 1)}
 """Outputs that a GPU gives after their activations: weights of filters, shares, and states."""
-EXACT, FILE = ".fp32", ".onnx"
+EXACT_SUFFIX, FILE = ".fp32", ".onnx"
 """Suffixes of a tag: for the network as trained, in float32, and for one in a file."""
 GUIDED, UNSCALED = ".guides", ".1x"
 SPECIAL = {GUIDED: "when a frame has guides", UNSCALED: "where the output has the render size"}
@@ -31,7 +31,7 @@ STAND_INS = {"l": "m"}
 
 def exact(tag: str) -> str:
     """The tag with its precision; float32 if it has none: 'm' -> 'm.fp32'."""
-    return tag if "." in tag else f"{tag}{EXACT}"
+    return tag if "." in tag else f"{tag}{EXACT_SUFFIX}"
 
 
 def split_ending(name: str) -> tuple[str, str]:
@@ -66,7 +66,7 @@ def validate_tag(model: str, library: Library | None = None) -> str:
         return model
     if library.trust:
         raise PassOptionError(f"the denoised upscaler takes no networks on trust: give it {library.folders[0]} alone")
-    found = library.path(f"{PASS}.{model.removesuffix(EXACT)}")
+    found = library.path(f"{PASS}.{model.removesuffix(EXACT_SUFFIX)}")
     return f"{found.absolute().parent}/{model}"
 
 
@@ -126,8 +126,8 @@ def _named(tag: str, ending: str, device: Device | None) -> str:
         return f"{tag.removesuffix(FILE)}{ending}{FILE}"
     folder, slash, tag = tag.rpartition("/")
     begin = f"{folder}{slash}{PASS}"
-    if tag.endswith(EXACT):
-        return f"{begin}.{tag.removesuffix(EXACT)}{ending}"
+    if tag.endswith(EXACT_SUFFIX):
+        return f"{begin}.{tag.removesuffix(EXACT_SUFFIX)}{ending}"
     if device is not None and "." not in tag:
         fast = f"{begin}.{tag}.{'int8' if device.memory.host_visible else 'fp16'}{ending}"
         if has_model(fast):
@@ -188,7 +188,7 @@ def halo_of(models: Iterable[str]) -> int:
     return max(_halo_in_card(model) or _halo(model) for model in models)
 
 
-REACHES, GUIDED_REACH = {CLASSIC: 72, "s": 136, "m": 64, "l": 64}, 224
+NETWORK_REACHES_PX, GUIDED_REACH = {CLASSIC: 72, "s": 136, "m": 64, "l": 64}, 224
 """Render pixels that a network sees around each at most, counted by its convolutions: nothing farther away changes a
 bit of what it gives."""
 
@@ -204,7 +204,7 @@ def _reach(model: str) -> int:
         return 0
     if model.endswith(GUIDED):
         return GUIDED_REACH
-    return REACHES.get(model if model == CLASSIC else model.split(".")[1], 0)
+    return NETWORK_REACHES_PX.get(model if model == CLASSIC else model.split(".")[1], 0)
 
 
 def seamless(models: Iterable[str]) -> int:

@@ -39,17 +39,17 @@ FINE_LOGITS = "fine_logits"
 """The fine head in float32 before its activations, of a network whose last level has the render size."""
 ERROR = "error"
 """The logarithm of each pixel's expected squared error."""
-PICTURE, CONTROLS = "picture", "controls"
+PICTURE, CONTROLS_NAME = "picture", "controls"
 """Outputs of a network that gives the picture itself, log(1 + exposed light), and controls it and the history."""
 STORED, CODING = "stored_", "coding_"
 """Prefixes of the names of 8-bit inputs, channels last, and of the constants that tell how they are coded."""
 PRODUCTS, SCALING = "products_", "scaling_"
 """Prefixes of the names of integer outputs, (C, h * w), and of the constants that scale them."""
-CODES = "codes_"
+CODES_NAME = "codes_"
 """Prefix of the names of 8-bit outputs, channels last, of which kernels make such products."""
 RING = 1
 """Border in pixels around 8-bit inputs, for networks whose first convolution reads beyond the picture."""
-MADE = (PACKED, RAW, PHASED_FINE, FINE_LOGITS, STORED, PRODUCTS, CODES)
+MADE = (PACKED, RAW, PHASED_FINE, FINE_LOGITS, STORED, PRODUCTS, CODES_NAME)
 CHANNELS = {"features": FEATURES, "guides": GUIDES, "mirrored": MIRRORED}
 FEATURE_PARTS = {"first_features": 32, "last_features": FEATURES - 32}
 """Feature channels that float32 networks read as inputs of their own: a CPU is fastest with few, or multiples of 16."""
@@ -109,14 +109,14 @@ def heads_of(state: PipelineState) -> dict[str, tuple[int, ...]]:
             heads["fine"] = opened_shape("fine", *size[2:])
         elif binding.name == FINE_LOGITS:
             heads["fine"] = size
-        elif binding.access == "write" and not binding.name.startswith((PRODUCTS, CODES)):
+        elif binding.access == "write" and not binding.name.startswith((PRODUCTS, CODES_NAME)):
             heads[name] = size if name == binding.name else opened_shape(name, *size[1:3])
     return heads
 
 
 def check_bindings(state: PipelineState) -> None:
     """ModelError for a network that is not a denoiser. Kernels prepare its inputs and take its outputs by name."""
-    coded = re.compile(f"^({PACKED}|{RAW}|{STORED}|{PRODUCTS}|{CODES})")
+    coded = re.compile(f"^({PACKED}|{RAW}|{STORED}|{PRODUCTS}|{CODES_NAME})")
     plain = {binding.name: coded.sub("", binding.name) for binding in state.bindings}
     reads = {b.name for b in state.bindings if b.access == "read"}
     strange = [name for name in reads if plain[name] not in (*CHANNELS, *FEATURE_PARTS)]

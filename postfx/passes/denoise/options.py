@@ -12,7 +12,7 @@ from postfx.errors import FrameError, GuideError, PassOptionError
 from postfx.frame import FrameSpec, GuideSpec, Role
 from postfx.passes.denoise.models import Ladder
 
-LEAST, MOST, USUAL = 1.0, 3.0, 1.0
+LEAST_SCALE, MOST_SCALE, USUAL_SCALE = 1.0, 3.0, 1.0
 ASPECT = 0.01
 """Share of a side by which frames may be off the output's aspect, if that is more than a pixel: sizes are often
 multiples of 8."""
@@ -34,7 +34,7 @@ def validate_scale(scale: float | None) -> float | None:
         found = None if scale is None else float(scale)
     except (TypeError, ValueError):
         found = math.nan
-    if found is not None and not LEAST <= found <= MOST:
+    if found is not None and not LEAST_SCALE <= found <= MOST_SCALE:
         shown = f"{found:g}" if isinstance(scale, int | float) else repr(scale)
         raise PassOptionError(f"pass 'denoise_upscale' scales by 1 to 3, not {shown}: give a scale in between")
     return found
@@ -62,7 +62,7 @@ def output_size(spec: FrameSpec, scale: float | None, size: Size | None) -> Size
     """
     if size:
         return _fixed(spec, size)
-    scaled = Size(round(spec.height * (scale or USUAL)), round(spec.width * (scale or USUAL)))
+    scaled = Size(round(spec.height * (scale or USUAL_SCALE)), round(spec.width * (scale or USUAL_SCALE)))
     return _guided(spec, spec.guides, scale, scaled) if spec.guides else scaled
 
 
@@ -73,8 +73,8 @@ def _fixed(spec: FrameSpec, size: Size) -> Size:
         fitting = Size(round(high), spec.width)
         raise FrameError(f"{found} has another aspect than the output, {size}: render it at {fitting}, or give a size "
                          "of its aspect (both with all overscan)")
-    if not all(side <= outer <= MOST * side for side, outer in ((spec.height, size.height), (spec.width, size.width))):
-        least = Size(*(-(-side // int(MOST)) for side in size))
+    if not all(side <= outer <= MOST_SCALE * side for side, outer in ((spec.height, size.height), (spec.width, size.width))):
+        least = Size(*(-(-side // int(MOST_SCALE)) for side in size))
         raise FrameError(f"{found} cannot become {size}, which is 1 to 3 times as large as what it is made of: render "
                          f"it at {least} to {size}")
     guides = spec.guides
@@ -87,8 +87,8 @@ def _fixed(spec: FrameSpec, size: Size) -> Size:
 def _guided(spec: FrameSpec, guides: GuideSpec, scale: float | None, scaled: Size) -> Size:
     sides = ((guides.width, spec.width), (guides.height, spec.height))
     if scale is None:
-        low = max(LEAST, *((outer - 0.5) / side for outer, side in sides))
-        high = min(MOST, *((outer + 1) / side for outer, side in sides))
+        low = max(LEAST_SCALE, *((outer - 0.5) / side for outer, side in sides))
+        high = min(MOST_SCALE, *((outer + 1) / side for outer, side in sides))
         fix = "render them 1 to 3 times as large as the colour, by the same factor both ways"
         fits = low <= high
     else:
@@ -123,9 +123,9 @@ class RenderSize:
     Raises PassOptionError for an impossible size, time or range.
     """
 
-    def __init__(self, size: Sequence[int], milliseconds: float, least: float = 1 / MOST, most: float = 1.0,
+    def __init__(self, size: Sequence[int], milliseconds: float, least: float = 1 / MOST_SCALE, most: float = 1.0,
                  count: int = 9, fixed: float = 0.2) -> None:
-        if not 1 / MOST <= least <= most <= 1 or count < 1 or not 0 <= fixed < 1:
+        if not 1 / MOST_SCALE <= least <= most <= 1 or count < 1 or not 0 <= fixed < 1:
             raise PassOptionError(f"render sizes from {least:g} to {most:g} of the output in {count} steps: give a "
                                   "range within 1/3 and 1, and 1 step or more")
         if not milliseconds > 0:
@@ -133,8 +133,8 @@ class RenderSize:
         whole = validate_size(size, None)
         assert whole is not None  # as a size is given
         shares = [most - (most - least) * step / max(count - 1, 1) for step in reversed(range(count))]
-        self.sizes = [(max(round(share * whole.width), -(-whole.width // int(MOST))),
-                       max(round(share * whole.height), -(-whole.height // int(MOST)))) for share in shares]
+        self.sizes = [(max(round(share * whole.width), -(-whole.width // int(MOST_SCALE))),
+                       max(round(share * whole.height), -(-whole.height // int(MOST_SCALE)))) for share in shares]
         parts = [width * height / (self.sizes[-1][0] * self.sizes[-1][1]) for width, height in self.sizes]
         self._ladder = Ladder([fixed + (1 - fixed) * part for part in parts], milliseconds, most_patience=PATIENT)
 

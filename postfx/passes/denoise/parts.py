@@ -30,20 +30,20 @@ from postfx.passes.denoise.tiling import Rows
 from postfx.runtime import CommandBuffer, Device, Tensor
 from postfx.sampling import three_by_three
 
-NEAR = 2e-3
+PART_SUM_TOLERANCE = 2e-3
 """Parts are all of the picture if their sum differs by less than this share of its light."""
 BEYOND = 1.5
 """How many times that share they must be brighter than it in places to be no parts of it: halves are rounded."""
-STEP = 8
+SAMPLED_ROW_STEP = 8
 """One row in so many is looked at for that."""
 DENSE, DENSER = 0.6, 0.8
 """Shares of lit pixels around lit ones from which a part counts as a surface's and not as sparse light."""
-LARGEST = float(np.finfo(np.float32).max)
-BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST, LARGEST), "mist": (0.0, 1.0)}
+LARGEST_FLOAT = float(np.finfo(np.float32).max)
+BOUNDS = {"normal": (-1.0, 1.0), "position": (-LARGEST_FLOAT, LARGEST_FLOAT), "mist": (0.0, 1.0)}
 """Bounds of the values of planes by kind; other kinds begin at 0 and have no upper bound."""
 DEPTH = "depth"
 """Kind of a plane of distances: their reciprocals are filtered, and separately which pixels have a distance."""
-FARTHEST = 1e9
+FARTHEST_DISTANCE = 1e9
 """Distances from here on stand for none."""
 EMISSION = "emission"
 """Kind of light that is seen as it is, with no noise but that of edges."""
@@ -51,12 +51,12 @@ SIGNED = ("normal", "position", DEPTH)
 """Kinds of planes whose detail is not like light's."""
 MOVING = ("position", DEPTH)
 """Kinds whose values change when the camera moves, so they have no history."""
-REFLECTANCE = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
+REFLECTANCE_ROLES = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)
 SURFACE = tuple(role for role in ABSENT if role is not Role.MOTION)
 """Planes that tell of the surface that is seen."""
 FOG = "scatter"
 """Kind of light without reflectance: of fog, unless a file divides it by a colour, as that of glass."""
-SURFACES = dict(zip(("diffuse", "specular"), REFLECTANCE, strict=True))
+SURFACES = dict(zip(("diffuse", "specular"), REFLECTANCE_ROLES, strict=True))
 """Reflectance that light is divided by while it is filtered, by kind: the picture's for 'light', nothing for others."""
 
 
@@ -109,7 +109,7 @@ class Layers:
                                           for name, role in (("part", Role.COLOUR), ("alpha", Role.ALPHA)))
         self._copies: dict[str, Tensor] = {}
         self._identity = new("as it is", (5,))
-        self._identity.upload([1.0, 0.0, -LARGEST, LARGEST, 0.0])
+        self._identity.upload([1.0, 0.0, -LARGEST_FLOAT, LARGEST_FLOAT, 0.0])
         self._runs: list[str] = []
         self._raw: dict[str, Tensor] = {}
         self._alpha = Alpha(device, spec, output) if alpha else None
@@ -270,16 +270,16 @@ class Layers:
         self._raw[name] = self._three(name, frame)
         low, high = self._range(name, frame)
         scale = 1.0 if (low, high) == (0.0, 1.0) else 1 / max(high - low, 1e-30)
-        most = LARGEST if self._kind(name) == DEPTH else MAX_COLOUR / self._exposure
+        most = LARGEST_FLOAT if self._kind(name) == DEPTH else MAX_COLOUR / self._exposure
         self._codings[name].upload([low, scale, most])
-        bounds = BOUNDS.get(self._kind(name), (0.0, LARGEST))
+        bounds = BOUNDS.get(self._kind(name), (0.0, LARGEST_FLOAT))
         if self._kind(name) != DEPTH:
             self._decodings[name].upload([1 / scale, low, *bounds, float(self._kind(name) == "normal")])
         found = {"part": self._raw[name], "coding": self._codings[name]}
         if self._kind(name) == "light":
             return found
         own = SURFACES.get(self._kind(name))
-        return found | {str(role): planes[str(role)] if role is own else self._nothing for role in REFLECTANCE}
+        return found | {str(role): planes[str(role)] if role is own else self._nothing for role in REFLECTANCE_ROLES}
 
     def _own_reflectance(self, name: str, planes: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Planes, at both sizes, in place of those that a part has nothing to do with: reflectance that it is not
@@ -288,7 +288,7 @@ class Layers:
         if kind == "light":
             return {}
         lost = SURFACE if kind == FOG and not self._parts[name].factor else tuple(
-            role for role in REFLECTANCE if role is not SURFACES.get(kind))
+            role for role in REFLECTANCE_ROLES if role is not SURFACES.get(kind))
         found = {str(role): self._absent(role, self._render) for role in lost}
         return found | {f"guide_{role}": self._absent(role, self._output) for role in lost if f"guide_{role}" in planes}
 
@@ -408,7 +408,7 @@ def _stops_above(frame: ResidentFrame, name: str, before: float) -> float:
 def mean_stops(light: np.ndarray) -> float | None:
     """log2 of the mean light of every eighth row; None without any. By a mean of logarithms, sparse light, most of
     whose pixels are dark, would be overexposed."""
-    rows = light[::STEP]
+    rows = light[::SAMPLED_ROW_STEP]
     seen = rows[np.isfinite(rows)]
     total = float(seen.sum(dtype=np.float64))
     return float(np.log2(total / seen.size)) if total > 0 else None
@@ -420,12 +420,12 @@ def _completeness(frame: ResidentFrame, names: Sequence[str]) -> float:
     colour = frame.host_planes.get(Role.COLOUR)
     if colour is None:
         return 0.0
-    seen = colour[::STEP]
-    total = sum((frame.host_parts[name][::STEP] for name in names), np.zeros_like(seen))
+    seen = colour[::SAMPLED_ROW_STEP]
+    total = sum((frame.host_parts[name][::SAMPLED_ROW_STEP] for name in names), np.zeros_like(seen))
     with np.errstate(invalid="ignore", over="ignore"):
         apart, light = total - seen, np.abs(seen)
     valid = np.isfinite(apart)
-    apart, least = apart[valid], NEAR * light[valid].sum(dtype=np.float64)
+    apart, least = apart[valid], PART_SUM_TOLERANCE * light[valid].sum(dtype=np.float64)
     if np.abs(apart).sum(dtype=np.float64) <= least:
         return 1.0
     return -1.0 if np.maximum(apart, 0).sum(dtype=np.float64) > BEYOND * least else 0.0
@@ -440,12 +440,12 @@ def encode_depth(depth: np.ndarray) -> tuple[np.ndarray, list[float]]:
     """
     depth = depth[..., 0]
     with np.errstate(invalid="ignore"):
-        there = (np.abs(depth) < FARTHEST) & (depth != 0)
+        there = (np.abs(depth) < FARTHEST_DISTANCE) & (depth != 0)
     sign = -1.0 if 2 * (depth[there] < 0).sum() > there.sum() else 1.0  # some renderers look along the negative axis
     there[there] = sign * depth[there] > 0
     distances, none = np.abs(depth[there]), depth[~there]
-    near, far = (float(distances.min()), float(distances.max())) if distances.size else (0.0, LARGEST)
-    nothing = float(none[0]) if none.size and not np.isnan(none[0]) else sign * LARGEST
+    near, far = (float(distances.min()), float(distances.max())) if distances.size else (0.0, LARGEST_FLOAT)
+    nothing = float(none[0]) if none.size and not np.isnan(none[0]) else sign * LARGEST_FLOAT
     inverse = np.zeros_like(depth)
     inverse[there] = 1 / distances
     return np.stack([inverse, there, there], axis=-1, dtype=np.float32), [sign, nothing, near, far, -1.0]

@@ -30,11 +30,11 @@ from postfx.sampling import three_by_three
 # Values of planes that a frame lacks at both sizes; networks are trained with the same values.
 ABSENT = {Role.DIFFUSE_ALBEDO: 0.0, Role.SPECULAR_ALBEDO: 0.0, Role.NORMAL: 0.0, Role.ROUGHNESS: 0.5, Role.DEPTH: 1.0,
           Role.MOTION: 0.0}
-MIRRORED = {Role.DENOISING_ALBEDO: 0.0, Role.DENOISING_NORMAL: 0.0}
+MIRRORED_ROLES = {Role.DENOISING_ALBEDO: 0.0, Role.DENOISING_NORMAL: 0.0}
 """The same of planes that follow mirrors and glass, which only some networks read."""
 HAZY = (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO, Role.DEPTH)
 """Planes that are left out in a volume: they show the surface behind it for the samples that came so far."""
-FOUND, LOST = 0.12, 0.08
+FOUND_VOLUME_SHARE, LOST_VOLUME_SHARE = 0.12, 0.08
 """From this share of noise in what depth covers on a frame shows a volume, and below the second it no longer does."""
 
 
@@ -98,7 +98,7 @@ class Planes:
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, guided: bool, mirrored: bool = False) -> None:
         """`mirrored`: also the planes that follow mirrors and glass."""
-        render, read = Size(spec.height, spec.width), (*ABSENT, *(MIRRORED if mirrored else ()))
+        render, read = Size(spec.height, spec.width), (*ABSENT, *(MIRRORED_ROLES if mirrored else ()))
         self._device, self._spec, self.hazy, self._looked = device, spec, False, False
         self._haze: dict[str, Tensor] = {}
         self._held = {role: str(role) for role in read if spec.has(role)}
@@ -148,12 +148,12 @@ class Planes:
 def shows_volume(depth: np.ndarray, before: bool = False) -> bool:
     """Whether hits and misses of depth (h, w, 1) are noise, as they are where Cycles scatters light in a volume;
     `before`: the last frame's were."""
-    return coverage_noise(depth[..., 0], float(FARTHEST)) > (LOST if before else FOUND)
+    return coverage_noise(depth[..., 0], float(FARTHEST)) > (LOST_VOLUME_SHARE if before else FOUND_VOLUME_SHARE)
 
 
 def absent_plane(device: Device, role: Role, size: Size) -> Tensor:
     """What stands for a plane that a frame lacks."""
-    shape, value = (*size, ROLES[role].channels), (ABSENT | MIRRORED)[role]
+    shape, value = (*size, ROLES[role].channels), (ABSENT | MIRRORED_ROLES)[role]
     if device.scratch is None:
         return device.wrap(f"absent {role}", np.full(shape, value, np.float32))
     plane = device.scratch.empty(shape)
@@ -350,7 +350,7 @@ class Restore:
         return rows_of(tensor, (first // TILE, -(-end // TILE))) if name in PER_TILE else tensor
 
 
-FEW_SAMPLES, DRIFT, SETTLED, LONGEST, RANDOM, SHARPER, BY_COLOUR = 4, 1 / 32, 6, 16, 1 / 48, 0.4, 0.5
+FEW_SAMPLES, DRIFT_VARIANCE, SETTLED, LONGEST_ALPHA_FRAMES, RANDOM, SHARPER_ALPHA, BY_COLOUR = 4, 1 / 32, 6, 16, 1 / 48, 0.4, 0.5
 """Samples a pixel of files that do not say. Variance, in units of a sample's, that a move adds to a mean of alpha; as
 how many samples filtered alpha counts; frames over which still alpha is averaged; variance in a sample's units that
 structure is compared with; how much sharper alpha is made that is twice as large; and the share of alpha that comes
@@ -377,7 +377,7 @@ class Alpha:
         self._near = new("near alpha", (-(-spec.height // NEAR_CELL), -(-spec.width // NEAR_CELL)))
         self._moved, self._finds_cells = moved, device.gpu is not None
         self._fit = between("alpha by colours", (4, spec.height, spec.width))
-        device.make_ready(DILATE, GATHER, FIT, CORRECT, *(NEAR,) * self._finds_cells)
+        device.make_ready(DILATE, GATHER, FIT, CORRECT, *(NEAR_ALPHA,) * self._finds_cells)
 
     def gather(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
                history: LayerHistory, keep: bool) -> dict[str, Tensor]:
@@ -386,16 +386,16 @@ class Alpha:
         samples, jittered = frame.samples or FEW_SAMPLES, frame.jitter != (0.0, 0.0)
         if not self._finds_cells:
             self._near.upload(near_cells(frame.host_planes[Role.ALPHA][..., 0]))
-        self._rates.upload([float(keep and not history.resized and not jittered), 1 / samples, DRIFT, 1 / LONGEST])
+        self._rates.upload([float(keep and not history.resized and not jittered), 1 / samples, DRIFT_VARIANCE, 1 / LONGEST_ALPHA_FRAMES])
         self._gain.upload([0.0 if jittered else 1 / SETTLED, RANDOM / samples,
-                           0.0 if jittered else SHARPER * self._scale, 0.0 if jittered else BY_COLOUR])
+                           0.0 if jittered else SHARPER_ALPHA * self._scale, 0.0 if jittered else BY_COLOUR])
         last, found = (quarters.view(quarters.name, (2 * quarters.shape[0], 2 * quarters.shape[1], 1))
                                  for quarters in (history.last["samples"], history.next["samples"]))
         self._next = {"next_samples": found, "next_doubt": history.next["doubt"]}
         commands.run(DILATE, "gather alpha", motion=planes[Role.MOTION], depth=planes[Role.DEPTH], moved=self._moved,
                      **self._pixels)
         if self._finds_cells:
-            commands.run(NEAR, "gather alpha", alpha=frame[Role.ALPHA], near=self._near)
+            commands.run(NEAR_ALPHA, "gather alpha", alpha=frame[Role.ALPHA], near=self._near)
         commands.run(GATHER, "gather alpha", alpha=frame[Role.ALPHA], moved=self._moved, rates=self._rates,
                      near=self._near, samples=last, doubt=history.last["doubt"], **self._next)
         return {"next_samples": found, "near": self._near}
@@ -423,7 +423,7 @@ def near_rows(y0: int, y1: int, alpha: np.ndarray, near: np.ndarray) -> None:
     near[y0:y1] = near_cells(alpha[..., 0])[y0:y1]
 
 
-NEAR = kernel("near", ("alpha",), ("near",), near_rows, ("near", 0), alpha=("h", "w", 1), near=("alpha_h", "alpha_w"))
+NEAR_ALPHA = kernel("near", ("alpha",), ("near",), near_rows, ("near", 0), alpha=("h", "w", 1), near=("alpha_h", "alpha_w"))
 """Cells where alpha is worked on, on a GPU."""
 
 

@@ -18,7 +18,7 @@ from postfx.system import PROCESS, Scratch
 
 LEVELS = 4
 """Times that the filter pyramid halves its size."""
-GRID = 2**LEVELS
+SIDE_MULTIPLE = 2**LEVELS
 """Height and width of a network's input are multiples of this if it computes all levels of the pyramid."""
 
 Rows = tuple[int, int]
@@ -33,7 +33,7 @@ class Sizes:
     w: int
     height: int
     width: int
-    grid: int = GRID
+    grid: int = SIDE_MULTIPLE
 
     def output_rows(self, rows: Rows) -> Rows:
         """The output rows of a range of render rows."""
@@ -147,7 +147,7 @@ def _cells(count: int, size: int, grid: int, i: int) -> int:
 
 def _firsts(count: int, size: int, grid: int) -> range:
     """First rows of windows of `count` rows that lie differently in the cells of the coarsest level."""
-    return range(0, 1 if count >= size else GRID, grid)
+    return range(0, 1 if count >= size else SIDE_MULTIPLE, grid)
 
 
 def _counted(first: int, count: int, size: int) -> np.ndarray:
@@ -161,10 +161,10 @@ def _mirrored(count: int, held: int) -> np.ndarray:
     return places
 
 
-REACH = 2
+STRENGTH_REACH_PX = 2
 """Distance in render pixels that a pixel's strength reaches when it is resampled."""
 
-CELL = 2 * REACH
+CELL = 2 * STRENGTH_REACH_PX
 """Side in render pixels of the squares that are active or not."""
 COARSE = 4
 """Side, in such squares, of the larger squares that boxes are searched by."""
@@ -177,7 +177,7 @@ GPU_FIXED = 400_000
 time of 415000 pixels (docs/lab/gpu.md)."""
 
 MOST_BOXES = 6
-GAIN = 0.9
+WORTH_TIME_SHARE = 0.9
 """Windows are used if they are expected to take at most this share of the whole frame's time. Work that is done
 everywhere adds 7 % of that time with m and 11 % with s, measured in the same way."""
 
@@ -225,8 +225,8 @@ Shape = tuple[int, int]
 
 def active_cells(strength: np.ndarray) -> np.ndarray:
     """Which squares of 4 pixels have an effect: (h, w, 1) -> (rows, columns) of bool."""
-    mask = np.zeros([whole_steps(side, CELL) // REACH for side in strength.shape[:2]], bool)
-    mark_positive(strength, REACH, mask)
+    mask = np.zeros([whole_steps(side, CELL) // STRENGTH_REACH_PX for side in strength.shape[:2]], bool)
+    mark_positive(strength, STRENGTH_REACH_PX, mask)
     for _ in range(2):
         halves = np.pad(mask, ((1, 1), (0, 0)))
         mask = np.logical_or.reduce([halves[i:len(mask) + i:2] for i in range(4)]).T
@@ -436,10 +436,10 @@ PIXEL = 2000
 """Bytes that a render pixel of a window takes, of which somewhat more than half are the network's own (1800 with models
 s, m and l, measured from 480x272 to 960x544, and more with l in float32)."""
 
-TILE = 230_000
+TILE_BYTES = 230_000
 """Bytes that the commands of a tile take (measured with 240 to 920 tiles of 1920x1080)."""
 
-WINDOW = 0.75
+WINDOW_BUDGET_SHARE = 0.75
 """Share of the remaining budget that a window may take. The frame's tensors and the parts of files in use have the
 rest."""
 
@@ -464,4 +464,4 @@ def bands_within(scratch: Scratch | None, frame: Sizes, halo: int) -> list[Band]
 
 def _needed(shape: Shape, tiles: int) -> int:
     """The smallest budget for a frame in this many tiles with windows of this shape."""
-    return PROCESS + tiles * TILE + int(shape[0] * shape[1] * PIXEL / WINDOW)
+    return PROCESS + tiles * TILE_BYTES + int(shape[0] * shape[1] * PIXEL / WINDOW_BUDGET_SHARE)
